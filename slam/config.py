@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every setting, one frozen section per stage: defaults, allowed ranges and help texts.
+
+The TOML file, the command-line flags and the settings shown in the report all come from here.
+"""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from slam.types import SlamError
+
+PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+PositiveInt = Annotated[int, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Section(BaseModel):
+    """A group of settings that cannot change during a run and refuses unknown names."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class InputConfig(Section):
+    """How a sequence is read."""
+
+    camera: Path | None = None
+    """TOML file with width, height, fx, fy, cx, cy, distortion, depth_scale; default: the
+    freiburg camera that the folder's name says."""
+    depth_scale: PositiveFloat | None = None
+    """Depth image units per metre; overrides the camera's."""
+    max_time_difference_s: PositiveFloat = 0.02
+    """Colour and depth images further apart than this are not paired."""
+
+
+class FeaturesConfig(Section):
+    """ORB extraction and matching."""
+
+    count: PositiveInt = 1000
+    """Features wanted per image."""
+    scale_factor: Annotated[float, Field(gt=1.0, le=2.0)] = 1.2
+    """Ratio between neighbouring pyramid levels."""
+    levels: Annotated[int, Field(ge=1, le=16)] = 8
+    """Pyramid levels."""
+    fast_threshold: Annotated[int, Field(ge=1, le=255)] = 12
+    """Smallest brightness step of a corner; lower finds more corners in blurred images."""
+    max_depth_m: PositiveFloat = 6.0
+    """Depth beyond this is too noisy to place a feature in space."""
+
+
+class VerificationConfig(Section):
+    """When geometry believes that two views show the same place."""
+
+    min_matches: PositiveInt = 20
+    """Descriptor matches with depth needed before a pose is tried."""
+    min_inliers: PositiveInt = 25
+    """Matches that must agree with one rigid motion."""
+    min_inlier_ratio: Fraction = 0.25
+    """Share of the matches that must agree."""
+    min_support: Fraction = 0.04
+    """Share of the image that the inliers' bounding box must cover."""
+    max_descriptor_distance: Annotated[int, Field(ge=1, le=256)] = 64
+    """Largest Hamming distance of two matching descriptors."""
+    max_reprojection_px: PositiveFloat = 3.0
+    """Largest reprojection error of an inlier."""
+    ransac_iterations: PositiveInt = 300
+    """Trials of PnP RANSAC."""
+
+
+class OdometryConfig(Section):
+    """Tracking against the last keyframe, and when a frame becomes one."""
+
+    min_inliers: PositiveInt = 15
+    """Matches that must agree with the motion, else the frame counts as not tracked."""
+    keyframe_translation_m: PositiveFloat = 0.12
+    """A camera this far from its keyframe starts a new one."""
+    keyframe_rotation_deg: PositiveFloat = 12.0
+    """A camera turned this much against its keyframe starts a new one."""
+    keyframe_inlier_share: Fraction = 0.35
+    """A new keyframe starts when fewer than this share of the keyframe's features is tracked."""
+    links: Annotated[int, Field(ge=0)] = 4
+    """Earlier keyframes that a new one is tied to by geometry (co-visibility), besides the last."""
+
+
+class LoopConfig(Section):
+    """Which earlier keyframes are looked at as the same place."""
+
+    min_gap_s: PositiveFloat = 3.0
+    """Keyframes closer in time than this are not loop candidates."""
+    candidates: PositiveInt = 4
+    """Most similar keyframes verified by geometry, per new keyframe."""
+    min_similarity: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
+    """Cosine from which a candidate is verified; default: the recognizer's own threshold."""
+
+
+class GraphConfig(Section):
+    """The robust pose graph."""
+
+    inlier_probability: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.99
+    """Loops whose error is less likely than 1 minus this under their own noise are outvoted."""
+
+
+class EvaluationConfig(Section):
+    """Comparison with ground truth."""
+
+    max_time_difference_s: PositiveFloat = 0.02
+    """Estimated and true poses further apart than this are not compared."""
+    rpe_interval_s: PositiveFloat = 1.0
+    """Interval over which the relative pose error is measured."""
+    false_loop_translation_m: PositiveFloat = 0.10
+    """An accepted loop whose motion is off by more than this is called false."""
+    false_loop_rotation_deg: PositiveFloat = 5.0
+    """An accepted loop whose motion is off by more than this is called false."""
+
+
+class MapConfig(Section):
+    """The fused point cloud of the corrected keyframes."""
+
+    write: bool = True
+    """Write map.ply."""
+    voxel_m: PositiveFloat = 0.01
+    """Edge of the grid cells that points are merged in."""
+    max_depth_m: PositiveFloat = 4.0
+    """Depth beyond this is left out of the cloud."""
+
+
+class Config(Section):
+    """All settings of a run."""
+
+    input: InputConfig = InputConfig()
+    features: FeaturesConfig = FeaturesConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    loop: LoopConfig = LoopConfig()
+    verification: VerificationConfig = VerificationConfig()
+    graph: GraphConfig = GraphConfig()
+    evaluation: EvaluationConfig = EvaluationConfig()
+    map: MapConfig = MapConfig()
+
+
+def load_config(path: Path) -> Config:
+    """Read settings from a TOML file whose tables are the sections.
+
+    Raises:
+        SlamError: the file is missing, is not TOML, or holds a value that is not allowed.
+    """
+    try:
+        return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise SlamError(f"cannot read the settings file: {error.strerror}: {path}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SlamError(f"the settings file is not valid TOML: {error}: {path}") from error
+    except ValidationError as error:
+        raise SlamError(f"{describe(error)}: {path}") from error
+
+
+def describe(error: ValidationError) -> str:
+    """Return the first problem of a validation as one line: setting, value, what is allowed."""
+    first = error.errors()[0]
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"there is no setting {name}; `run_slam --help` lists them all"
+    return f"setting {name} = {first['input']!r}: {first['msg']}"
+
+
+def to_toml(config: Config) -> str:
+    """Return the settings as TOML that `load_config` reads back; unset ones are left out."""
+    lines: list[str] = []
+    for section, values in config.model_dump(mode="json", exclude_none=True).items():
+        lines.append(f"[{section}]")
+        lines += [f"{name} = {_toml_value(value)}" for name, value in values.items()]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _toml_value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return json.dumps(value) if isinstance(value, str) else str(value)

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The values that travel between the stages; all frozen, none with behaviour of its own."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class SlamError(Exception):
+    """A problem the user can solve: one line that names it and says what to do."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole RGB-D camera whose depth image is registered to its colour image.
+
+    Attributes:
+        width, height: image size, pixels.
+        fx, fy, cx, cy: focal lengths and principal point, pixels.
+        distortion: k1, k2, p1, p2, k3 of OpenCV's (Brown-Conrady) model; zeros for none.
+        depth_scale: depth image units per metre (5000 in the TUM RGB-D benchmark).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    depth_scale: float = 5000.0
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The (3, 3) intrinsic matrix, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One RGB-D image.
+
+    Attributes:
+        timestamp_s: seconds, strictly increasing along a sequence.
+        rgb: (H, W, 3) uint8.
+        depth_m: (H, W) float32, metres along the optical axis, 0 where unknown.
+    """
+
+    timestamp_s: float
+    rgb: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Features:
+    """ORB features of one frame.
+
+    Attributes:
+        pixels: (N, 2) float64, where each was seen in the (distorted) image.
+        undistorted_px: (N, 2) float64, the same after removing lens distortion.
+        octaves: (N,) int, pyramid level: a feature's pixel noise grows with it.
+        descriptors: (N, 32) uint8.
+        depth_m: (N,) float64, metres along the optical axis, NaN where unknown.
+        points_m: (N, 3) float64, camera frame, NaN where depth is unknown.
+    """
+
+    pixels: FloatArray
+    undistorted_px: FloatArray
+    octaves: NDArray[np.int64]
+    descriptors: NDArray[np.uint8]
+    depth_m: FloatArray
+    points_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame kept in the map.
+
+    Attributes:
+        id: 0, 1, 2, ... in the order of time.
+        timestamp_s: seconds.
+        T_odom_cam: (4, 4) camera pose in the odometry's (drifting) frame.
+        features: ORB features, or None where poses come from elsewhere without them.
+        preview: the frame at half resolution, for the report and the fused point cloud.
+    """
+
+    id: int
+    timestamp_s: float
+    T_odom_cam: FloatArray
+    features: Features
+    preview: Frame
+
+
+class RejectionReason(StrEnum):
+    """Why a pose could not be estimated or a loop not be accepted."""
+
+    LOW_SIMILARITY = "similarity below the recognizer's threshold"
+    FEW_MATCHES = "too few descriptor matches with depth"
+    NO_POSE = "no pose found by PnP RANSAC"
+    FEW_INLIERS = "too few inliers of one rigid motion"
+    LOW_INLIER_RATIO = "too small a share of the matches agree"
+    NARROW_SUPPORT = "inliers cover too small a part of the image"
+    OUTVOTED = "contradicts the rest of the pose graph"
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """Why a stage said no, with the number that decided and the number it needed.
+
+    `needed - measured` is the distance to the opposite decision.
+    """
+
+    reason: RejectionReason
+    measured: float
+    needed: float
+
+
+@dataclass(frozen=True)
+class RelativePose:
+    """A rigid motion between two views, as measured.
+
+    Attributes:
+        T_ref_query: (4, 4), takes the query camera's coordinates to the reference camera's.
+        information: (6, 6), inverse covariance of the tangent [rotation; translation] applied on
+            the right (`T_ref_query @ exp(xi)`), rad^-2 and m^-2: GTSAM's convention.
+    """
+
+    T_ref_query: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What geometry says about two views: the outcome and the evidence behind it.
+
+    Attributes:
+        outcome: the motion, or why there is none.
+        pixels: (M, 4) float64, matched pixels [u_ref, v_ref, u_query, v_query] in the images.
+        inlier_mask: (M,) bool, the matches that agree with the motion.
+    """
+
+    outcome: RelativePose | Rejection
+    pixels: FloatArray
+    inlier_mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LoopAttempt:
+    """Every candidate that was looked at, accepted or not, and why.
+
+    Attributes:
+        query_id, match_id: keyframe ids; the query is the later one.
+        similarity: cosine of the two embeddings, -1 to 1.
+        verification: geometry's answer, or None where similarity already ruled the pair out.
+        outcome: the measured motion of an accepted loop (reference = match), or the rejection.
+        weight: the pose graph's final trust in an accepted loop, 0 (ignored) to 1; None before
+            the graph was solved and for rejected candidates.
+    """
+
+    query_id: int
+    match_id: int
+    similarity: float
+    verification: Verification | None
+    outcome: RelativePose | Rejection
+    weight: float | None = None
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether geometry confirmed the loop (the graph may still give it weight 0)."""
+        return isinstance(self.outcome, RelativePose)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Camera poses over time.
+
+    Attributes:
+        timestamps_s: (N,) float64, strictly increasing.
+        T_world_cam: (N, 4, 4) float64.
+    """
+
+    timestamps_s: FloatArray
+    T_world_cam: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.timestamps_s)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A measured motion between two keyframes that is not a loop: odometry or co-visibility."""
+
+    ref_id: int
+    query_id: int
+    motion: RelativePose
+
+
+@dataclass(frozen=True)
+class SlamResult:
+    """Everything a run found out.
+
+    Attributes:
+        camera: the camera it was run with.
+        keyframes: the K keyframes in order of time.
+        T_world_kf: (K, 4, 4) their corrected poses; the world is the first keyframe's camera.
+        odometry: every tracked frame, by tracking alone (drifting).
+        trajectory: the same frames, corrected: each rides on its keyframe.
+        links: odometry and co-visibility motions of the pose graph.
+        attempts: every loop candidate in the order it was looked at, with its final weight.
+        similarities: (K, K) float32, cosine between all keyframes' embeddings, NaN on none.
+        min_similarity: the threshold from which candidates were verified.
+        untracked_s: timestamps of the frames that could not be tracked.
+        stage_seconds: total wall time per stage, in the order of the pipeline.
+        warnings: what a user should know before trusting the result; one sentence each.
+    """
+
+    camera: Camera
+    keyframes: tuple[Keyframe, ...]
+    T_world_kf: FloatArray
+    odometry: Trajectory
+    trajectory: Trajectory
+    links: tuple[Link, ...]
+    attempts: tuple[LoopAttempt, ...]
+    similarities: NDArray[np.float32]
+    min_similarity: float
+    untracked_s: FloatArray
+    stage_seconds: dict[str, float]
+    warnings: tuple[str, ...]
