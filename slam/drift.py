@@ -3,9 +3,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from slam.types import FloatArray
 
 
