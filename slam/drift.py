@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from slam import se3
 from slam.config import EvaluationConfig
 from slam.trajectory import align, associate, nearest, path_length_m
-from slam.types import FloatArray, Keyframe, LoopAttempt, RelativePose, SlamError, Trajectory
+from slam.types import FloatArray, Keyframe, LoopAttempt, SlamError, Trajectory
+from slam.verdict import final_rejection, measured_motion
 
 MAX_TRUTH_GAP_S = 0.5
 """Ground truth counts as interrupted where it has no pose for longer than this."""
@@ -101,10 +102,9 @@ def trajectory_error(
     position_errors_m = np.linalg.norm(aligned_m - T_truth_cam[:, :3, 3], axis=1)
     stamps_s = estimate.timestamps_s[in_estimate]
     first, second = _interval_pairs(stamps_s, config.rpe_interval_s, tolerance_s)
-    error = _motion_error(
-        se3.inverse(T_truth_cam[first]) @ T_truth_cam[second],
-        se3.inverse(T_world_cam[first]) @ T_world_cam[second],
-    )
+    T_true = se3.inverse(T_truth_cam[first]) @ T_truth_cam[second]
+    T_measured = se3.inverse(T_world_cam[first]) @ T_world_cam[second]
+    error = se3.inverse(T_true) @ T_measured
     return TrajectoryError(
         timestamps_s=stamps_s,
         T_truth_world=T_truth_world,
@@ -166,19 +166,6 @@ def judge_loops(
     )
 
 
-def measured_motion(attempt: LoopAttempt) -> RelativePose | None:
-    """Return the motion that geometry measured, also of a loop that the graph outvoted."""
-    if isinstance(attempt.outcome, RelativePose):
-        return attempt.outcome
-    found = attempt.verification.outcome if attempt.verification else None
-    return found if isinstance(found, RelativePose) else None
-
-
-def is_in_use(attempt: LoopAttempt) -> bool:
-    """Whether a loop was accepted and the pose graph, if it was solved, trusts it."""
-    return attempt.is_accepted and (attempt.weight is None or attempt.weight >= 0.5)
-
-
 def coverage(estimate: Trajectory, truth: Trajectory) -> float:
     """Return the share of an estimate's time span, 0 to 1, during which there is ground truth."""
     start_s, end_s = estimate.timestamps_s[0], estimate.timestamps_s[-1]
@@ -201,15 +188,10 @@ def _judge(
     measured = measured_motion(attempt)
     if measured is None:
         return LoopTruth(np.nan, np.nan, distance_m, angle_deg, None)
-    error_m, error_deg = _size(_motion_error(T_match_query, measured.T_ref_query))
+    error_m, error_deg = _size(se3.inverse(T_match_query) @ measured.T_ref_query)
     is_off = error_m > config.false_loop_translation_m or error_deg > config.false_loop_rotation_deg
-    return LoopTruth(
-        error_m, error_deg, distance_m, angle_deg, is_off if is_in_use(attempt) else None
-    )
-
-
-def _motion_error(T_true: FloatArray, T_measured: FloatArray) -> FloatArray:
-    return np.asarray(se3.inverse(T_true) @ T_measured)
+    is_false = is_off if final_rejection(attempt) is None else None
+    return LoopTruth(error_m, error_deg, distance_m, angle_deg, is_false)
 
 
 def _size(T_a_b: FloatArray) -> tuple[float, float]:

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The run in one page of numbers: what goes into summary.json."""
+
+import math
+
+from slam.drift import DriftReport, TrajectoryError
+from slam.types import RejectionReason, SlamResult
+from slam.verdict import final_rejection
+
+
+def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
+    """Return summary.json's content; every key says its unit, None stands for unknown.
+
+    - frames_tracked, frames_untracked, keyframes, links: counts.
+    - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
+      geometry and the pose graph believe, outvoted ones those that only geometry does.
+    - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
+      are off by more than the limits.
+    - ate_*_m, rpe_*_m, rpe_*_deg: root mean square errors before (odometry) and after (corrected).
+    - alignment, scale: how the ATE was taken; the scale is never adjusted.
+    - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind it.
+    - frames_per_second, stage_seconds, stage_ms_per_frame: wall time of the stages.
+    """
+    return {**_counts(result), **_loop_counts(result, drift), **_errors(drift), **_speed(result)}
+
+
+def _counts(result: SlamResult) -> dict[str, object]:
+    return {
+        "frames_tracked": len(result.trajectory),
+        "frames_untracked": len(result.untracked_s),
+        "keyframes": len(result.keyframes),
+        "links": len(result.links),
+        "warnings": list(result.warnings),
+    }
+
+
+def _loop_counts(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
+    verdicts = [loop.is_false for loop in drift.loops if loop.is_false is not None] if drift else []
+    rejections = [final_rejection(attempt) for attempt in result.attempts]
+    reasons = [rejection.reason for rejection in rejections if rejection]
+    return {
+        "loops_tried": len(result.attempts),
+        "loops_accepted": len(rejections) - len(reasons),
+        "loops_outvoted": reasons.count(RejectionReason.OUTVOTED),
+        "loops_judged": len(verdicts) if drift else None,
+        "loops_false": sum(verdicts) if drift else None,
+    }
+
+
+def _errors(drift: DriftReport | None) -> dict[str, object]:
+    before = drift.before if drift else None
+    after = drift.after if drift else None
+    return {
+        "ate_before_m": _known(before.ate_rmse_m) if before else None,
+        "ate_after_m": _known(after.ate_rmse_m) if after else None,
+        **_relative_errors("before", before),
+        **_relative_errors("after", after),
+        "rpe_interval_s": drift.rpe_interval_s if drift else None,
+        "alignment": "SE(3)" if drift else None,
+        "scale": 1.0 if drift else None,
+        "association_tolerance_s": drift.tolerance_s if drift else None,
+        "matched_share": after.matched_share if after else None,
+        "truth_coverage": drift.coverage if drift else None,
+        "truth_length_m": drift.truth_length_m if drift else None,
+    }
+
+
+def _relative_errors(when: str, error: TrajectoryError | None) -> dict[str, object]:
+    return {
+        f"rpe_translation_{when}_m": _known(error.rpe_translation_m) if error else None,
+        f"rpe_rotation_{when}_deg": _known(error.rpe_rotation_deg) if error else None,
+    }
+
+
+def _speed(result: SlamResult) -> dict[str, object]:
+    frames = len(result.trajectory) + len(result.untracked_s)
+    total_s = sum(result.stage_seconds.values())
+    return {
+        "frames_per_second": frames / total_s if total_s > 0.0 else None,
+        "stage_seconds": dict(result.stage_seconds),
+        "stage_ms_per_frame": {
+            stage: 1000.0 * seconds / frames for stage, seconds in result.stage_seconds.items()
+        }
+        if frames
+        else {},
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
