@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings on disk, read as a `Sequence` of frames."""
+
+from slam.datasets.cameras import read_camera, write_camera
+from slam.datasets.sequence import Sequence
+from slam.datasets.tum import open_sequence
+
+__all__ = ["Sequence", "open_sequence", "read_camera", "write_camera"]

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which camera a recording was made with: the benchmark's own three, or one from a TOML file."""
+
+import re
+import tomllib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from slam.config import InputConfig, PositiveFloat, PositiveInt
+from slam.types import Camera, SlamError
+
+CAMERA_FILE = "camera.toml"
+
+# Colour cameras of the TUM RGB-D benchmark. Its freiburg3 images are already undistorted.
+FREIBURG = {
+    "1": Camera(
+        640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), 5000.0
+    ),
+    "2": Camera(
+        640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172), 5000.0
+    ),
+    "3": Camera(640, 480, 535.4, 539.2, 320.1, 247.6, (0.0, 0.0, 0.0, 0.0, 0.0), 5000.0),
+}
+_FREIBURG_NAME = re.compile(r"(?:freiburg|(?<![a-z])fr)([123])(?!\d)", re.IGNORECASE)
+
+
+class _CameraTable(BaseModel):
+    """What a camera file may hold; the depth scale has no default because guesses go unseen."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    width: PositiveInt
+    height: PositiveInt
+    fx: PositiveFloat
+    fy: PositiveFloat
+    cx: FiniteFloat
+    cy: FiniteFloat
+    distortion: Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=5)] = (0.0,) * 5
+    depth_scale: PositiveFloat
+
+
+def choose_camera(folder: Path, config: InputConfig) -> Camera:
+    """Return the camera the user names, else the folder's camera.toml, else its freiburg camera.
+
+    Raises:
+        SlamError: a camera file is not usable, or nothing says which camera it was.
+    """
+    camera = _find_camera(folder, config)
+    return camera if config.depth_scale is None else replace(camera, depth_scale=config.depth_scale)
+
+
+def _find_camera(folder: Path, config: InputConfig) -> Camera:
+    if config.camera is not None:
+        return read_camera(config.camera)
+    if (folder / CAMERA_FILE).is_file():
+        return read_camera(folder / CAMERA_FILE)
+    if named := _FREIBURG_NAME.search(folder.resolve().name):
+        return FREIBURG[named[1]]
+    raise SlamError(
+        "which camera made this sequence is not known: its folder's name says neither fr1, fr2 nor"
+        f" fr3; put a {CAMERA_FILE} into it, or give --input.camera FILE.toml, with the keys width,"
+        " height, fx, fy, cx, cy (pixels), depth_scale (depth image units per metre) and, if the"
+        f" lens distorts, distortion = [k1, k2, p1, p2, k3]: {folder}"
+    )
+
+
+def read_camera(path: Path) -> Camera:
+    """Read a camera from a TOML file.
+
+    Raises:
+        SlamError: the file is missing, is not TOML, or a key is missing, unknown or out of range.
+    """
+    try:
+        table = _CameraTable.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise SlamError(f"cannot read the camera file: {error.strerror}: {path}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SlamError(f"the camera file is not valid TOML: {error}: {path}") from error
+    except ValidationError as error:
+        raise SlamError(f"{_describe(error)}: {path}") from error
+    if not (0.0 <= table.cx < table.width and 0.0 <= table.cy < table.height):
+        raise SlamError(
+            f"camera keys cx, cy = {table.cx:g}, {table.cy:g} lie outside the image of"
+            f" {table.width}x{table.height} pixels; they are the optical axis in pixels: {path}"
+        )
+    k1, k2, p1, p2, *k3 = table.distortion
+    distortion = (k1, k2, p1, p2, k3[0] if k3 else 0.0)
+    return Camera(**table.model_dump(exclude={"distortion"}), distortion=distortion)
+
+
+def _describe(error: ValidationError) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"there is no camera key {key}; the keys are {', '.join(_CameraTable.model_fields)}"
+    if first["type"] == "missing":
+        return f"the camera key {key} is missing"
+    return f"camera key {key} = {first['input']!r}: {first['msg']}"
+
+
+def write_camera(path: Path, camera: Camera) -> None:
+    """Write a camera as TOML that `read_camera` reads back exactly; atomic."""
+    values = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in asdict(camera).items()
+    }
+    unfinished = path.with_name(f".{path.name}.tmp")
+    unfinished.write_text(
+        "".join(f"{key} = {value!r}\n" for key, value in values.items()), encoding="utf-8"
+    )
+    unfinished.replace(path)

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording on disk, whatever its format: frames in the order of time, read ahead."""
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.datasets.images import BrokenImage, read_color, read_depth
+from slam.datasets.plausibility import doubts_about_depth, doubts_about_intrinsics
+from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
+
+_READERS = 2
+_FRAMES_AHEAD = 4
+_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """The two files of one frame; the time is the colour image's, seconds."""
+
+    timestamp_s: float
+    color_path: Path
+    depth_path: Path
+
+
+class Sequence:
+    """An RGB-D recording whose frames are decoded in the background while others are worked on.
+
+    Frames whose images are missing or broken are left out and listed in `skipped`.
+
+    Attributes:
+        name: short name, for people.
+        camera: the camera that made it.
+        timestamps_s: (N,) float64, strictly increasing, the frames whose files exist.
+        ground_truth: true camera poses, or None where there are none.
+        unpaired_color, unpaired_depth: listed images without a partner close enough in time.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        camera: Camera,
+        images: list[ImagePair],
+        *,
+        ground_truth: Trajectory | None = None,
+        unpaired_color: int = 0,
+        unpaired_depth: int = 0,
+        warnings: tuple[str, ...] = (),
+    ) -> None:
+        """Look at which files exist, and at a few of them for signs of wrong settings.
+
+        Raises:
+            SlamError: more than half of the frames miss a file, or the images do not fit together.
+        """
+        self.name = name
+        self.camera = camera
+        self.ground_truth = ground_truth
+        self.unpaired_color = unpaired_color
+        self.unpaired_depth = unpaired_depth
+        self._listed = len(images)
+        self._skipped: dict[float, BrokenImage] = {}
+        self._images = [pair for pair in images if self._exists(pair)]
+        self.timestamps_s: FloatArray = np.array([pair.timestamp_s for pair in self._images])
+        self._warnings = [*warnings, *doubts_about_intrinsics(camera), *self._doubts_about_depth()]
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the readable frames in the order of time.
+
+        Raises:
+            SlamError: more than half of the frames are broken, or an image is of the wrong kind.
+        """
+        for pair, frame in zip(self._images, self._read_ahead(), strict=True):
+            if isinstance(frame, BrokenImage):
+                self._skip(pair, frame)
+            else:
+                yield frame
+
+    def frame(self, i: int) -> Frame:
+        """Return the frame of `timestamps_s[i]`.
+
+        Raises:
+            SlamError: one of its images is broken or of the wrong kind.
+        """
+        frame = self._read(self._images[i])
+        if isinstance(frame, BrokenImage):
+            raise SlamError(f"frame {i} cannot be read: {frame.why}: {frame.path}")
+        return frame
+
+    @property
+    def skipped(self) -> list[BrokenImage]:
+        """The (path, why) of each frame left out so far, in the order of time."""
+        return [self._skipped[timestamp_s] for timestamp_s in sorted(self._skipped)]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before trusting a run; one sentence each, skipped so far too."""
+        if not self._skipped:
+            return tuple(self._warnings)
+        path, why = self.skipped[0]
+        return (
+            *self._warnings,
+            f"{len(self._skipped)} of {self._listed} frames were skipped because an image is"
+            f" missing or broken; the first: {why}: {path}",
+        )
+
+    def _exists(self, pair: ImagePair) -> bool:
+        for path in (pair.color_path, pair.depth_path):
+            if not path.is_file():
+                self._skip(pair, BrokenImage(path, "the file is missing"))
+                return False
+        return True
+
+    def _skip(self, pair: ImagePair, broken: BrokenImage) -> None:
+        self._skipped[pair.timestamp_s] = broken
+        if 2 * len(self._skipped) > self._listed:
+            raise SlamError(
+                f"more than half of the {self._listed} frames have a missing or broken image; was"
+                f" the sequence unpacked completely? the last: {broken.why}: {broken.path}"
+            )
+
+    def _doubts_about_depth(self) -> list[str]:
+        spread = np.linspace(0, len(self) - 1, _SAMPLES).astype(int)
+        frames = [self._read(self._images[i]) for i in sorted(set(spread.tolist()))]
+        depths_m = [frame.depth_m for frame in frames if isinstance(frame, Frame)]
+        return doubts_about_depth(depths_m, self.camera.depth_scale)
+
+    def _read(self, pair: ImagePair) -> Frame | BrokenImage:
+        rgb = read_color(pair.color_path)
+        if isinstance(rgb, BrokenImage):
+            return rgb
+        if rgb.shape[:2] != (self.camera.height, self.camera.width):
+            raise SlamError(
+                f"a colour image has {rgb.shape[1]}x{rgb.shape[0]} pixels but the camera"
+                f" {self.camera.width}x{self.camera.height}; give the camera that made it with"
+                f" --input.camera FILE.toml: {pair.color_path}"
+            )
+        depth_m = read_depth(pair.depth_path, self.camera.depth_scale)
+        if isinstance(depth_m, BrokenImage):
+            return depth_m
+        if depth_m.shape != rgb.shape[:2]:
+            raise SlamError(
+                f"a depth image has {depth_m.shape[1]}x{depth_m.shape[0]} pixels but its colour"
+                f" image {rgb.shape[1]}x{rgb.shape[0]}; depth must be registered to colour, pixel"
+                f" by pixel: {pair.depth_path}"
+            )
+        return Frame(pair.timestamp_s, rgb, depth_m)
+
+    def _read_ahead(self) -> Iterator[Frame | BrokenImage]:
+        readers = ThreadPoolExecutor(_READERS, thread_name_prefix="images")
+        pending: deque[Future[Frame | BrokenImage]] = deque()
+        try:
+            for pair in self._images:
+                pending.append(readers.submit(self._read, pair))
+                if len(pending) > _FRAMES_AHEAD:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            # Runs too when the loop over frames is left early or interrupted.
+            readers.shutdown(cancel_futures=True)
