@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The graph of keyframes: incremental while running, robust when loops arrive, exact at the end."""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.config import GraphConfig
+from slam.pose_graph.agreement import disagreements
+from slam.pose_graph.batch import optimize
+from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, solve_robustly
+from slam.types import FloatArray, Link, RelativePose, SlamError
+
+_ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
+# While running, loops wait until there are this many more of them than at the last robust solve:
+# the total cost then grows with the logarithm of their number.
+_LOOP_GROWTH = 0.1
+_HOLDS = 0.5  # weights end near 0 or 1
+
+
+@dataclass(frozen=True)
+class GraphSolution:
+    """What the finished graph says.
+
+    Attributes:
+        T_world_kf: (K, 4, 4) float64, metres, in the order in which keyframes were added.
+        weights: trust per loop key, 0 (ignored) to 1.
+        warnings: one sentence each.
+    """
+
+    T_world_kf: FloatArray
+    weights: dict[int, float]
+    warnings: tuple[str, ...]
+
+
+class PoseGraph:
+    """Keyframe poses tied by links, which are believed, and loops, which have to prove themselves.
+
+    The first keyframe stays where its guess puts it: the identity makes it the world.
+    """
+
+    def __init__(self, config: GraphConfig) -> None:
+        self._config = config
+        self._ids: list[int] = []
+        self._links = gtsam.NonlinearFactorGraph()
+        self._loops: dict[int, gtsam.BetweenFactorPose3] = {}
+        self._weights: dict[int, float] = {}
+        self._chain = gtsam.Values()  # poses by links alone, where every robust solve starts
+        self._values = gtsam.Values()  # the best poses so far
+        self._restart(self._values)
+
+    def add_keyframe(self, keyframe_id: int, T_world_kf_guess: FloatArray) -> None:
+        """Add a keyframe at a (4, 4) guess of its pose, in metres; then tie it by links.
+
+        Raises:
+            ValueError: the id is taken.
+        """
+        if self._values.exists(keyframe_id):
+            raise ValueError(f"keyframe {keyframe_id} is in the pose graph already")
+        guess = gtsam.Pose3(T_world_kf_guess)
+        if not self._ids:
+            self._chain.insert(keyframe_id, guess)
+            self._believe(gtsam.PriorFactorPose3(keyframe_id, guess, _ANCHOR_NOISE))
+        self._ids.append(keyframe_id)
+        self._values.insert(keyframe_id, guess)
+        self._new_values.insert(keyframe_id, guess)
+
+    def add_link(self, link: Link) -> None:
+        """Add a motion that is believed: odometry or co-visibility, in the order of time.
+
+        Raises:
+            ValueError: a keyframe of it is not in the graph, or neither is tied to the first one.
+        """
+        factor = self._factor(link.ref_id, link.query_id, link.motion)
+        ref, query = self._chain.exists(link.ref_id), self._chain.exists(link.query_id)
+        if not (ref or query):
+            raise ValueError(
+                f"link {link.ref_id} - {link.query_id} hangs in the air: "
+                "add the links that tie one of the two to the first keyframe before it"
+            )
+        motion = factor.measured()
+        if not query:
+            T_world_ref = self._chain.atPose3(link.ref_id)
+            self._chain.insert(link.query_id, T_world_ref.compose(motion))
+        elif not ref:
+            T_world_query = self._chain.atPose3(link.query_id)
+            self._chain.insert(link.ref_id, T_world_query.compose(motion.inverse()))
+        self._believe(factor)
+
+    def add_loop(self, key: int, ref_id: int, query_id: int, motion: RelativePose) -> None:
+        """Add a loop under a key that its weight is asked for by; it may wait for later loops.
+
+        Raises:
+            ValueError: the key is taken or a keyframe is not in the graph.
+        """
+        if key in self._loops:
+            raise ValueError(f"loop {key} is in the pose graph already")
+        self._loops[key] = self._factor(ref_id, query_id, motion)
+
+    def update(self) -> None:
+        """Bring the poses up to date: incrementally, or robustly once enough new loops came.
+
+        Raises:
+            SlamError: a keyframe is not tied to the first one by links.
+        """
+        self._check_tied()
+        waiting = len(self._loops) - len(self._weights)
+        if waiting > _LOOP_GROWTH * len(self._weights):
+            self._restart(self._solve((SUPER_LINEAR,)))
+        elif self._new_values.size() or self._new_factors.size():
+            self._isam.update(self._new_factors, self._new_values)
+            self._clear_new()
+            self._values = self._isam.calculateEstimate()
+
+    def finish(self) -> GraphSolution:
+        """Weigh all loops once more with every means, polish, and say what there is to doubt.
+
+        Raises:
+            SlamError: a keyframe is not tied to the first one by links.
+        """
+        self._check_tied()
+        values = self._solve((SUPER_LINEAR, LINEAR)) if self._loops else self._values
+        self._restart(optimize(self._trusted(), values))
+        poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
+        return GraphSolution(poses, self.weights, self._warnings())
+
+    @property
+    def weights(self) -> dict[int, float]:
+        """Trust per loop key, 0 (ignored) to 1; loops that still wait are left out."""
+        return dict(self._weights)
+
+    def T_world_kf(self, keyframe_id: int) -> FloatArray:
+        """Return the (4, 4) float64 pose of a keyframe as of the last `update`, metres."""
+        return np.asarray(self._values.atPose3(keyframe_id).matrix(), dtype=np.float64)
+
+    def _solve(self, schedules: tuple[gtsam.GncScheduler, ...]) -> gtsam.Values:
+        """Weigh all loops against each other and return the poses that follow."""
+        graph, loops = self._whole()
+        probability = self._config.inlier_probability
+        solution = solve_robustly(graph, self._chain, loops, probability, schedules)
+        self._weights = dict(zip(self._loops, solution.weights[loops].tolist(), strict=True))
+        return solution.values
+
+    def _whole(self) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
+        """Return the graph of all links and loops, and where the loops are in it."""
+        graph = self._links.clone()
+        for loop in self._loops.values():
+            graph.add(loop)
+        return graph, list(range(self._links.size(), graph.size()))
+
+    def _trusted(self) -> gtsam.NonlinearFactorGraph:
+        """Return the graph of all links and those loops that hold."""
+        graph = self._links.clone()
+        for key, weight in self._weights.items():
+            if weight > _HOLDS:
+                graph.add(self._loops[key])
+        return graph
+
+    def _warnings(self) -> tuple[str, ...]:
+        if not self._loops:
+            return ()
+        graph, loops = self._whole()
+        weights = np.array(list(self._weights.values()))
+        return disagreements(graph, self._chain, loops, weights > _HOLDS)
+
+    def _believe(self, factor: gtsam.NonlinearFactor) -> None:
+        self._links.add(factor)
+        self._new_factors.add(factor)
+
+    def _restart(self, values: gtsam.Values) -> None:
+        """Let the incremental solver go on from these poses with the loops that hold now."""
+        params = gtsam.ISAM2Params()
+        params.setFactorization("QR")  # the default, Cholesky, fails on ill-conditioned graphs
+        self._isam = gtsam.ISAM2(params)
+        self._values = values
+        self._clear_new()
+        if self._ids:
+            self._isam.update(self._trusted(), values)
+
+    def _clear_new(self) -> None:
+        self._new_values = gtsam.Values()
+        self._new_factors = gtsam.NonlinearFactorGraph()
+
+    def _factor(self, ref_id: int, query_id: int, motion: RelativePose) -> gtsam.BetweenFactorPose3:
+        for each in (ref_id, query_id):
+            if not self._values.exists(each):
+                raise ValueError(f"keyframe {each} is not in the pose graph; add it first")
+        noise = gtsam.noiseModel.Gaussian.Information(motion.information)
+        return gtsam.BetweenFactorPose3(ref_id, query_id, gtsam.Pose3(motion.T_ref_query), noise)
+
+    def _check_tied(self) -> None:
+        for each in self._ids:
+            if not self._chain.exists(each):
+                raise SlamError(
+                    f"keyframe {each} hangs in the air: no link ties it to the first keyframe; "
+                    "add one, with little information where the motion is uncertain"
+                )

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which loops of a pose graph, 2-D or 3-D, to believe: graduated non-convexity and a second look.
+
+Yang, Antonante, Tzoumas, Carlone: Graduated Non-Convexity for Robust Spatial Perception (2020),
+with truncated least squares: a loop costs its half chi-square, but never more than a fixed limit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.pose_graph.batch import factor_errors
+from slam.types import FloatArray
+
+SUPER_LINEAR = gtsam.GncScheduler.SuperLinear
+LINEAR = gtsam.GncScheduler.Linear
+
+
+@dataclass(frozen=True)
+class RobustSolution:
+    """Poses and the trust in every factor.
+
+    Attributes:
+        values: one pose per key.
+        weights: (N,) float64, 0 (ignored) to 1, in the order of the graph's factors.
+        cost: truncated half chi-square, lower is better.
+    """
+
+    values: gtsam.Values
+    weights: FloatArray
+    cost: float
+
+
+def solve_robustly(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    loops: Sequence[int],
+    inlier_probability: float,
+    schedules: Sequence[gtsam.GncScheduler] = (SUPER_LINEAR, LINEAR),
+) -> RobustSolution:
+    """Return the poses that satisfy most loops, and which loops those are.
+
+    No schedule wins everywhere: the linear one loses all loops of a long path that closes rarely,
+    the super-linear one hurries past the answer in small dense maps. The truncated cost, which
+    both minimise, tells which of them got further.
+
+    Args:
+        graph: factors; all but the loops are believed.
+        initial: one pose per key, from odometry.
+        loops: positions of the doubtful factors in the graph.
+        inlier_probability: loops whose chi-square exceeds this quantile count as false.
+        schedules: how fast to move from the convex problem to the true one.
+    """
+    runs = [_graduate(graph, initial, loops, inlier_probability, each) for each in schedules]
+    return min(runs, key=lambda run: run.cost)
+
+
+def _graduate(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    loops: Sequence[int],
+    inlier_probability: float,
+    schedule: gtsam.GncScheduler,
+) -> RobustSolution:
+    # Start from the odometry alone: a first least-squares fit to all loops, false ones included,
+    # would bend the map beyond recognition.
+    weights = np.ones(graph.size())
+    weights[list(loops)] = 0.0
+    params = gtsam.GncLMParams()
+    params.setScheduler(schedule)
+    params.setKnownInliers(np.flatnonzero(weights).tolist())
+    optimizer = gtsam.GncLMOptimizer(graph, initial, params)
+    optimizer.setInlierCostThresholdsAtProbability(inlier_probability)
+    optimizer.setWeights(weights)
+    values = optimizer.optimize()
+    weights = np.asarray(optimizer.getWeights(), dtype=np.float64)
+    errors = factor_errors(graph, values)
+    limits = np.asarray(optimizer.getInlierCostThresholds())
+    is_loop = np.isin(np.arange(graph.size()), list(loops))
+    cost = float(np.where(is_loop, np.minimum(errors, limits), errors).sum())
+    return RobustSolution(values, weights, cost)
