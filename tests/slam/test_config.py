@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from slam.config import Config, InputConfig, LoopConfig, MapConfig, load_config, to_toml
+from slam.types import SlamError
+
+
+def load(tmp_path, text):
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_config(path)
+
+
+def error_of(tmp_path, text):
+    with pytest.raises(SlamError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.endswith("settings.toml")
+    return message
+
+
+def test_an_empty_file_means_the_defaults(tmp_path):
+    assert load(tmp_path, "") == Config()
+
+
+def test_settings_of_the_file_replace_the_defaults(tmp_path):
+    config = load(tmp_path, "[verification]\nmin_inliers = 40\n[map]\nwrite = false\n")
+    assert config.verification.min_inliers == 40
+    assert not config.map.write
+    assert config.verification.min_matches == Config().verification.min_matches
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        Config(),
+        Config(
+            input=InputConfig(camera=Path('my "own"\\camera.toml'), depth_scale=1000.0),
+            loop=LoopConfig(min_similarity=-0.25, min_gap_s=1e-7),
+            map=MapConfig(write=False),
+        ),
+    ],
+)
+def test_toml_round_trip(tmp_path, config):
+    assert load(tmp_path, to_toml(config)) == config
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SlamError, match=r"No such file or directory: .*absent\.toml$"):
+        load_config(tmp_path / "absent.toml")
+
+
+def test_a_folder_is_not_a_settings_file(tmp_path):
+    with pytest.raises(SlamError, match="cannot read the settings file"):
+        load_config(tmp_path)
+
+
+def test_text_that_is_not_toml(tmp_path):
+    assert "not valid TOML" in error_of(tmp_path, "[loop\n")
+
+
+def test_bytes_that_are_not_text(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SlamError, match="not valid TOML"):
+        load_config(path)
+
+
+@pytest.mark.parametrize("name", ["loop.canditates", "loops"])
+def test_an_unknown_setting_is_named(tmp_path, name):
+    message = error_of(tmp_path, f"{name} = 3\n")
+    assert f"no setting {name};" in message
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "allowed"),
+    [
+        ("verification.min_inliers", "0", "greater than 0"),
+        ("verification.min_inlier_ratio", "1.5", "less than or equal to 1"),
+        ("verification.max_descriptor_distance", "2.5", "integer"),
+        ("features.levels", '"many"', "integer"),
+        ("loop.min_gap_s", "inf", "finite"),
+        ("graph.inlier_probability", "1.0", "less than 1"),
+    ],
+)
+def test_a_value_that_is_not_allowed(tmp_path, setting, value, allowed):
+    message = error_of(tmp_path, f"{setting} = {value}\n")
+    assert message.startswith(f"setting {setting} = ")
+    assert value.strip('"') in message
+    assert allowed in message
+
+
+def test_a_section_cannot_change():
+    with pytest.raises(ValidationError):
+        Config().loop.candidates = 3
