@@ -16,7 +16,7 @@ from slam.output_file import write_atomically
 from slam.types import LoopAttempt, RelativePose, SlamError, SlamResult
 from slam.verdict import final_rejection, measured_motion
 
-_STRICT = ConfigDict(extra="forbid", strict=True)
+_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -136,8 +136,8 @@ def _record(
     seen = attempt.verification
     motion = measured_motion(attempt)
     return LoopRecord(
-        query_id=attempt.query_id,
-        match_id=attempt.match_id,
+        query_id=int(attempt.query_id),
+        match_id=int(attempt.match_id),
         query_timestamp_s=round(float(stamps_s[attempt.query_id]), 6),
         match_timestamp_s=round(float(stamps_s[attempt.match_id]), 6),
         similarity=_digits(attempt.similarity),

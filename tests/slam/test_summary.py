@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+import json
+import math
+
+import numpy as np
+import pytest
+
+from slam.drift import DriftReport, LoopTruth, TrajectoryError
+from slam.summary import summarise
+from slam.types import (
+    Camera,
+    Link,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    SlamResult,
+    Trajectory,
+)
+
+MOTION = RelativePose(np.eye(4), np.eye(6))
+ATTEMPTS = (
+    LoopAttempt(9, 0, 0.9, None, MOTION, 1.0),
+    LoopAttempt(9, 1, 0.9, None, MOTION, 1.0),
+    LoopAttempt(9, 2, 0.9, None, MOTION, 0.0),
+    LoopAttempt(9, 3, 0.9, None, Rejection(RejectionReason.OUTVOTED, 0.0, 0.5)),
+    LoopAttempt(9, 4, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
+)
+VERDICTS = (True, False, None, None, None)
+
+
+def result(attempts=ATTEMPTS, frames=8, stage_seconds=None):
+    tracked = Trajectory(np.arange(float(frames)), np.tile(np.eye(4), (frames, 1, 1)))
+    return SlamResult(
+        camera=Camera(640, 480, 525.0, 525.0, 319.5, 239.5),
+        keyframes=(),
+        T_world_kf=np.zeros((0, 4, 4)),
+        odometry=tracked,
+        trajectory=tracked,
+        links=(Link(0, 1, MOTION),),
+        attempts=attempts,
+        similarities=np.zeros((0, 0), dtype=np.float32),
+        min_similarity=0.5,
+        untracked_s=np.array([8.0, 9.0]) if frames else np.zeros(0),
+        stage_seconds={"read": 0.1, "track": 0.4} if stage_seconds is None else stage_seconds,
+        warnings=("The depth scale looks odd.",),
+    )
+
+
+def drift():
+    def error(ate_m, rpe_m, rpe_deg):
+        return TrajectoryError(np.zeros(6), np.eye(4), np.zeros(6), ate_m, rpe_m, rpe_deg, 0.75)
+
+    loops = tuple(LoopTruth(1.0, 1.0, 1.0, 1.0, verdict) for verdict in VERDICTS)
+    before, after = error(0.05, 0.03, 2.0), error(0.02, math.nan, math.nan)
+    return DriftReport(before, after, loops, 0.02, 0.9, 1.0, 12.5)
+
+
+def test_counts():
+    summary = summarise(result(), drift())
+    assert (summary["frames_tracked"], summary["frames_untracked"]) == (8, 2)
+    assert (summary["keyframes"], summary["links"]) == (0, 1)
+    assert summary["loops_tried"] == 5
+    assert summary["loops_accepted"] == 2
+    assert summary["loops_outvoted"] == 2
+    assert (summary["loops_judged"], summary["loops_false"]) == (2, 1)
+    assert summary["warnings"] == ["The depth scale looks odd."]
+
+
+def test_errors_stand_beside_how_they_were_taken():
+    summary = summarise(result(), drift())
+    assert (summary["ate_before_m"], summary["ate_after_m"]) == (0.05, 0.02)
+    assert summary["rpe_translation_before_m"] == 0.03
+    assert summary["rpe_rotation_before_deg"] == 2.0
+    assert summary["rpe_translation_after_m"] is summary["rpe_rotation_after_deg"] is None
+    assert (summary["alignment"], summary["scale"]) == ("SE(3)", 1.0)
+    assert (summary["association_tolerance_s"], summary["rpe_interval_s"]) == (0.02, 1.0)
+    assert (summary["matched_share"], summary["truth_coverage"]) == (0.75, 0.9)
+    assert summary["truth_length_m"] == 12.5
+
+
+def test_timings_are_per_frame_whether_tracked_or_not():
+    summary = summarise(result(), drift())
+    assert summary["frames_per_second"] == pytest.approx(20.0)
+    assert summary["stage_seconds"] == {"read": 0.1, "track": 0.4}
+    assert summary["stage_ms_per_frame"] == pytest.approx({"read": 10.0, "track": 40.0})
+
+
+def test_without_truth_or_frames_the_same_keys_are_unknown():
+    summary = summarise(result((), frames=0, stage_seconds={}), None)
+    assert list(summary) == list(summarise(result(), drift()))
+    for name in ("ate_before_m", "ate_after_m", "loops_false", "alignment", "frames_per_second"):
+        assert summary[name] is None
+    assert summary["stage_ms_per_frame"] == {}
+
+
+def test_the_summary_is_plain_json():
+    text = json.dumps(summarise(result(), drift()), allow_nan=False)
+    assert json.loads(text) == summarise(result(), drift())
