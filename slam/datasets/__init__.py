@@ -2,7 +2,8 @@
 """Recordings on disk, read as a `Sequence` of frames."""
 
 from slam.datasets.cameras import read_camera, write_camera
+from slam.datasets.download import resolve
 from slam.datasets.sequence import Sequence
 from slam.datasets.tum import open_sequence
 
-__all__ = ["Sequence", "open_sequence", "read_camera", "write_camera"]
+__all__ = ["Sequence", "open_sequence", "read_camera", "resolve", "write_camera"]
