@@ -109,8 +109,9 @@ def test_relative_error_is_the_root_mean_square_over_all_pairs_of_the_interval()
     assert over_two.rpe_rotation_deg == pytest.approx(9.0 / math.sqrt(2.0))
 
 
-def test_relative_error_of_a_sequence_shorter_than_the_interval_is_unknown():
-    error = trajectory_error(square(), square(), EvaluationConfig(rpe_interval_s=10.0))
+@pytest.mark.parametrize("interval_s", [10.0, 0.01], ids=["too long", "within the tolerance"])
+def test_relative_error_over_an_interval_without_two_frames_is_unknown(interval_s):
+    error = trajectory_error(square(), square(), EvaluationConfig(rpe_interval_s=interval_s))
     assert math.isnan(error.rpe_translation_m)
     assert math.isnan(error.rpe_rotation_deg)
 
