@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of loop decisions: both views side by side, their matches drawn as lines."""
+
+import base64
+from collections import defaultdict
+from io import BytesIO
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision
+from slam.types import Camera, RejectionReason
+
+MAX_PICTURES = 60
+WIDTH_PX = 480
+DRAWN_AT = 2
+"""Lines are drawn at this multiple of the final size and then averaged, for smooth edges."""
+
+INLIER, OUTLIER = (64, 230, 150), (235, 70, 60)
+
+
+def choose(loops: list[Decision], limit: int = MAX_PICTURES) -> list[Decision]:
+    """Return the decisions worth a picture: doubtful ones, near misses, a spread of accepted.
+
+    Every doubtful (false or outvoted) loop comes first; accepted loops, spread over time, share
+    what is left with the rejections closest to the opposite decision.
+    """
+    groups: dict[str, list[Decision]] = defaultdict(list)
+    for loop in loops:
+        groups[loop.kind].append(loop)
+    doubtful = (groups.pop(FALSE, []) + groups.pop(OUTVOTED, []))[:limit]
+    room = limit - len(doubtful)
+    unlike = sorted(groups.pop(RejectionReason.LOW_SIMILARITY.name.lower(), []), key=_shortfall)
+    accepted = groups.pop(ACCEPTED, [])
+    near = sorted((loop for group in groups.values() for loop in group), key=_shortfall)
+    near += unlike[: limit // 10] if near else unlike
+    share = max(room // 2, room - len(near))
+    shown = spread(accepted, share)
+    return doubtful + shown + near[: room - len(shown)]
+
+
+def spread(loops: list[Decision], number: int) -> list[Decision]:
+    """Return the strongest loop (most inliers) of each of `number` equal slices of time."""
+    if len(loops) <= number:
+        return loops
+    slices = np.array_split(np.arange(len(loops)), number) if number else []
+    return [max((loops[i] for i in part), key=lambda loop: loop.inliers or 0) for part in slices]
+
+
+def _shortfall(loop: Decision) -> float:
+    return loop.shortfall
+
+
+def picture(loop: Decision, camera: Camera) -> str:
+    """Return a JPEG data URI: the earlier view left, the later right, matches as lines."""
+    views = [loop.match.preview.rgb, loop.query.preview.rgb]
+    width = WIDTH_PX * DRAWN_AT // 2
+    height = round(width * views[0].shape[0] / views[0].shape[1])
+    canvas = Image.new("RGB", (2 * width, height))
+    for left, view in zip((0, width), views, strict=True):
+        canvas.paste(Image.fromarray(view).resize((width, height)), (left, 0))
+    _draw_matches(canvas, loop, camera)
+    canvas = canvas.reduce(DRAWN_AT)
+    jpeg = BytesIO()
+    canvas.save(jpeg, "JPEG", quality=72)
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg.getvalue()).decode("ascii")
+
+
+def _draw_matches(canvas: Image.Image, loop: Decision, camera: Camera) -> None:
+    check = loop.attempt.verification
+    if check is None or len(check.pixels) == 0:
+        return
+    half = canvas.width / 2
+    scale = np.array([half / camera.width, canvas.height / camera.height] * 2)
+    ends = check.pixels * scale + np.array([0.0, 0.0, half, 0.0])
+    pen = ImageDraw.Draw(canvas, "RGBA")
+    for line in ends[~check.inlier_mask].tolist():
+        pen.line(line, fill=(*OUTLIER, 90), width=1)
+    for u_ref, v_ref, u_query, v_query in ends[check.inlier_mask].tolist():
+        pen.line((u_ref, v_ref, u_query, v_query), fill=(*INLIER, 170), width=2)
+        for u, v in ((u_ref, v_ref), (u_query, v_query)):
+            pen.ellipse((u - 4, v - 4, u + 4, v + 4), fill=(*INLIER, 230))

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera paths of a run in one common frame, ready to be drawn."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.drift import DriftReport
+from slam.types import FloatArray, SlamResult, Trajectory
+
+GAP_FACTOR = 5.0
+"""Frames further apart than this many median intervals are not joined by a line."""
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Positions before and after loop closure and in truth, metres, in one frame.
+
+    Attributes:
+        times_s: (N,) seconds since the first frame; before_m, after_m: (N, 3).
+        keyframes_m: (K, 3) corrected; keyframe_times_s: (K,).
+        truth_m: (M, 3), empty without ground truth; truth_times_s: (M,).
+        keyframe_truth_m: (K, 3), NaN where ground truth has no pose in time.
+        lost_s: (L,) when frames could not be tracked.
+        start_s: timestamp of the first frame.
+        in_truth_frame: whether the frame is ground truth's, not the first keyframe's camera.
+    """
+
+    times_s: FloatArray
+    before_m: FloatArray
+    after_m: FloatArray
+    keyframes_m: FloatArray
+    keyframe_times_s: FloatArray
+    truth_m: FloatArray
+    truth_times_s: FloatArray
+    keyframe_truth_m: FloatArray
+    lost_s: FloatArray
+    start_s: float
+    in_truth_frame: bool
+
+    @property
+    def has_keyframe_truth(self) -> bool:
+        """Whether ground truth knows where any keyframe was."""
+        return bool(np.isfinite(self.keyframe_truth_m).any())
+
+    @property
+    def axes(self) -> tuple[int, int, int]:
+        """The three coordinate axes, those with the most motion first."""
+        spread = np.ptp(self.after_m, axis=0) if len(self.after_m) else np.zeros(3)
+        first, second, third = (int(axis) for axis in np.argsort(-spread, kind="stable"))
+        return first, second, third
+
+
+def gather(result: SlamResult, drift: DriftReport | None, truth: Trajectory | None) -> Paths:
+    """Return the paths of a run, each aligned to ground truth where a drift report says how."""
+    to_truth_before = drift.before.T_truth_world if drift is not None else np.eye(4)
+    to_truth_after = drift.after.T_truth_world if drift is not None else np.eye(4)
+    if drift is None or truth is None or len(truth) == 0:
+        truth = Trajectory(np.empty(0), np.empty((0, 4, 4)))
+    keyframe_times = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
+    times = result.trajectory.timestamps_s
+    start = float(min(t[0] for t in (times, keyframe_times, result.untracked_s) if len(t)))
+    tolerance = drift.tolerance_s if drift is not None else 0.0
+    inside = _overlap(truth, times)
+    return Paths(
+        times_s=times - start,
+        before_m=_positions(to_truth_before, result.odometry.T_world_cam),
+        after_m=_positions(to_truth_after, result.trajectory.T_world_cam),
+        keyframes_m=_positions(to_truth_after, result.T_world_kf),
+        keyframe_times_s=keyframe_times - start,
+        truth_m=truth.T_world_cam[inside, :3, 3],
+        truth_times_s=truth.timestamps_s[inside] - start,
+        keyframe_truth_m=positions_at(truth, keyframe_times, tolerance),
+        lost_s=result.untracked_s - start,
+        start_s=start,
+        in_truth_frame=drift is not None,
+    )
+
+
+def positions_at(trajectory: Trajectory, times_s: FloatArray, tolerance_s: float) -> FloatArray:
+    """Return the (N, 3) positions nearest in time, NaN where none is within the tolerance."""
+    found = np.full((len(times_s), 3), np.nan)
+    if len(trajectory) == 0:
+        return found
+    right = np.searchsorted(trajectory.timestamps_s, times_s).clip(0, len(trajectory) - 1)
+    left = (right - 1).clip(0)
+    gap_left = np.abs(trajectory.timestamps_s[left] - times_s)
+    gap_right = np.abs(trajectory.timestamps_s[right] - times_s)
+    nearest = np.where(gap_left < gap_right, left, right)
+    near = np.minimum(gap_left, gap_right) <= tolerance_s
+    found[near] = trajectory.T_world_cam[nearest[near], :3, 3]
+    return found
+
+
+def broken(times_s: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+    """Return times and values with NaN between frames that are far apart, to break the line."""
+    steps = np.diff(times_s)
+    if len(steps) == 0:
+        return (times_s, *values)
+    cuts = np.flatnonzero(steps > GAP_FACTOR * np.median(steps)) + 1
+    return tuple(np.insert(array, cuts, np.nan, axis=0) for array in (times_s, *values))
+
+
+def _overlap(truth: Trajectory, times_s: FloatArray) -> slice:
+    """Return the part of the truth that lies within the run's time span."""
+    if len(truth) == 0 or len(times_s) == 0:
+        return slice(0, 0)
+    first, last = np.searchsorted(truth.timestamps_s, (times_s[0], times_s[-1] + 1e-9))
+    return slice(int(first), int(last))
+
+
+def _positions(T_truth_world: FloatArray, T_world_cam: FloatArray) -> FloatArray:
+    return T_world_cam[:, :3, 3] @ T_truth_world[:3, :3].T + T_truth_world[:3, 3]

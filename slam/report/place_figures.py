@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drawings of which keyframes look alike and which are really near each other."""
+
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from slam.report.canvas import AFTER, BEFORE, INK, WRONG, draw
+from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision
+from slam.report.paths import Paths
+from slam.types import SlamResult
+
+MAX_CELLS = 400
+"""A matrix with more rows than this is thinned out before it is drawn."""
+
+_REJECTED = "rejected"
+_MARKERS = {
+    _REJECTED: ("x", BEFORE, 5.0, 1.0),
+    OUTVOTED: ("D", BEFORE, 4.5, 1.0),
+    ACCEPTED: ("o", AFTER, 4.5, 1.5),
+    FALSE: ("D", WRONG, 6.0, 2.0),
+}
+
+
+def similarity_matrix(result: SlamResult, loops: list[Decision]) -> Markup:
+    """Draw how similar all keyframes look, with the loop attempts on top."""
+    size = len(result.keyframes)
+    values = result.similarities[:: _step(size), :: _step(size)]
+
+    def paint(axes: Axes) -> None:
+        _heat_map(axes, values, size, "similarity", "Greys")
+        _overlay(axes, loops)
+
+    alt = "Heat map of the similarity of all pairs of keyframes, with accepted and rejected loops"
+    return draw("similarity", alt, paint, height_in=4.7)
+
+
+def distance_matrix(paths: Paths, loops: list[Decision]) -> Markup:
+    """Draw how far apart all keyframes are: in truth where known, else as corrected."""
+    size = len(paths.keyframes_m)
+    points = paths.keyframe_truth_m if paths.has_keyframe_truth else paths.keyframes_m
+    points = points[:: _step(size)]
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+
+    def paint(axes: Axes) -> None:
+        _heat_map(axes, distances, size, "distance (m)", "Greys_r")
+        _overlay(axes, loops)
+
+    source = "ground truth" if paths.has_keyframe_truth else "the corrected trajectory"
+    alt = f"Heat map of the distance between all pairs of keyframes by {source}"
+    return draw("distance", alt, paint, height_in=4.7)
+
+
+def _step(size: int) -> int:
+    return max(-(-size // MAX_CELLS), 1)
+
+
+def _heat_map(
+    axes: Axes, values: NDArray[np.floating[Any]], size: int, label: str, colours: str
+) -> None:
+    """Draw a square matrix over keyframe ids 0 to size - 1, blank where NaN."""
+    image = axes.imshow(
+        np.ma.masked_invalid(values),
+        cmap=colours,
+        interpolation="none",
+        extent=(-0.5, size - 0.5, size - 0.5, -0.5),
+    )
+    axes.grid(visible=False)
+    axes.set_xlabel("earlier keyframe")
+    axes.set_ylabel("later keyframe")
+    axes.figure.colorbar(image, ax=axes, label=label, shrink=0.8)
+
+
+def _overlay(axes: Axes, loops: list[Decision]) -> None:
+    """Mark the attempts below the diagonal: row = query, column = earlier match."""
+    for group, (marker, colour, size, width) in _MARKERS.items():
+        pairs = np.array(
+            [
+                (loop.match.id, loop.query.id)
+                for loop in loops
+                if (loop.kind if loop.kind in _MARKERS else _REJECTED) == group
+            ]
+        )
+        if len(pairs):
+            axes.plot(
+                *pairs.T,
+                marker,
+                color=colour,
+                ms=size,
+                mew=width,
+                mfc="none",
+                label=f"{group} ({len(pairs)})",
+                rasterized=len(pairs) > 3000,
+            )
+
+
+def similarity_histogram(loops: list[Decision], min_similarity: float) -> Markup:
+    """Draw how similar the accepted and the rejected candidates looked."""
+    values = np.array([loop.attempt.similarity for loop in loops])
+    is_known = np.isfinite(values)
+    is_kept = np.array([loop.kind in (ACCEPTED, FALSE) for loop in loops])
+    groups = [values[is_known & ~is_kept], values[is_known & is_kept]]
+    seen = [*values[is_known], min_similarity]
+    bins = np.linspace(min(seen) - 1e-3, max(seen) + 1e-3, 31).tolist()
+
+    def paint(axes: Axes) -> None:
+        names = ["rejected", "accepted"]
+        axes.hist(groups, bins=bins, stacked=True, color=[BEFORE, AFTER], label=names)
+        threshold = f"threshold {min_similarity:.3f}"
+        axes.axvline(min_similarity, color=INK, lw=1.2, ls="--", label=threshold)
+        axes.set_xlabel("similarity")
+        axes.set_ylabel("candidates")
+
+    return draw("histogram", "Histogram of similarity of accepted and rejected candidates", paint)
