@@ -3,6 +3,7 @@
 
 import logging
 import os
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -40,8 +41,9 @@ def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
     Raises:
         SlamError: it is neither a path nor a known name, or the download does not succeed.
     """
-    if Path(name_or_path).exists():
-        return Path(name_or_path)
+    with suppress(OSError):  # such as a name too long for a path
+        if Path(name_or_path).exists():
+            return Path(name_or_path)
     short_name = _short_name(name_or_path)
     folder_name = f"rgbd_dataset_freiburg{short_name[2:]}"
     for root in _local_roots():

@@ -16,7 +16,7 @@ Progress = Callable[[int, int | None], None]
 """Called with the bytes at hand and the bytes in all, where the server says how many."""
 
 _TRIES = 5
-_PAUSE_S = 1.0
+_PAUSE_S = 0.5
 _TIMEOUT_S = 30.0
 _CHUNK_BYTES = 1 << 18
 _TRY_AGAIN = frozenset({408, 425, 429, 500, 502, 503, 504})

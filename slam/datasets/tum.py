@@ -25,7 +25,10 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
     Raises:
         SlamError: the folder, a list, the camera, the association or most images are not usable.
     """
-    _check_folder(path)
+    try:
+        _check_folder(path)
+    except OSError as error:
+        raise SlamError(f"cannot look into the folder: {error.strerror}: {path}") from error
     warnings: list[str] = []
     color_s, color_paths = _read_image_list(path / "rgb.txt", warnings)
     depth_s, depth_paths = _read_image_list(path / "depth.txt", warnings)

@@ -335,3 +335,5 @@ def test_an_unknown_name_lists_the_close_ones(site: Site) -> None:
     assert "any folder with rgb.txt" in str(caught.value)
     with pytest.raises(SlamError, match="fr1_desk"):
         resolve("/no/such/folder")
+    with pytest.raises(SlamError, match="neither a folder nor"):
+        resolve("x" * 5000)

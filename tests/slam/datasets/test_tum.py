@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+import errno
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.config import InputConfig
+from slam.datasets import open_sequence
+from slam.types import SlamError
+
+MakeFolder = Callable[..., Path]
+CONFIG = InputConfig()
+DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[4] / "shared/data"))
+DESK = DATA / "rgbd_dataset_freiburg1_desk"
+
+
+def fails(folder: Path, said: str, config: InputConfig = CONFIG) -> str:
+    with pytest.raises(SlamError, match=re.escape(said)) as caught:
+        open_sequence(folder, config)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def edit(file: Path, change: Callable[[list[str]], list[str]]) -> None:
+    file.write_text("\n".join(change(file.read_text().splitlines())) + "\n")
+
+
+def truth_lines(count: int = 6) -> list[str]:
+    return [f"{100 + i / 10} {i} 0 0 0 0 0 1" for i in range(count)]
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "bmp"])
+def test_a_folder_is_read_as_frames(make_folder: MakeFolder, suffix: str) -> None:
+    sequence = open_sequence(make_folder(color_suffix=suffix), CONFIG)
+    assert (sequence.name, len(sequence), sequence.ground_truth) == ("tiny", 6, None)
+    assert sequence.warnings == ()
+    frames = list(sequence)
+    np.testing.assert_allclose(sequence.timestamps_s, 100 + np.arange(6) / 10)
+    assert [frame.timestamp_s for frame in frames] == sequence.timestamps_s.tolist()
+    for i, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.rgb[12, 16], (i, 100, 200), atol=4)
+        assert frame.depth_m[0, 0] == 0.0
+        assert frame.depth_m[5, 5] == np.float32(round(5000 * (1 + i / 10)) / 5000)
+
+
+def test_a_relative_path_has_its_folders_name(
+    make_folder: MakeFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(make_folder())
+    assert open_sequence(Path(), CONFIG).name == "tiny"
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    assert "fr1_desk" in fails(tmp_path / "none", "no such folder")
+
+
+def test_a_folder_that_may_not_be_read_is_one_line(
+    make_folder: MakeFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "is_file", forbidden)
+    fails(make_folder(), "cannot look into the folder: Permission denied")
+
+
+def test_a_file_is_not_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "a.tgz").write_text("")
+    fails(tmp_path / "a.tgz", "found a file")
+
+
+def test_another_kind_of_folder_says_what_was_found(tmp_path: Path) -> None:
+    fails(tmp_path, "rgb.txt and depth.txt not found, only nothing")
+    for name in "abcdefg":
+        (tmp_path / name).write_text("")
+    fails(tmp_path, "only a, b, c, d, e, ...")
+
+
+def test_the_folder_above_a_sequence_points_to_it(make_folder: MakeFolder) -> None:
+    fails(make_folder().parent, "did you mean its folder tiny?")
+
+
+def test_colour_without_depth_is_no_sequence(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    (folder / "depth.txt").unlink()
+    fails(folder, "depth.txt not found")
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])
+def test_an_empty_list_is_named(make_folder: MakeFolder, name: str) -> None:
+    folder = make_folder()
+    (folder / name).write_text("# only a comment\n\n")
+    assert fails(folder, "the list names no image").endswith(name)
+
+
+@pytest.mark.parametrize("line", ["100.25", "soon rgb/3.png", "nan rgb/3.png", "inf rgb/3.png"])
+def test_a_malformed_line_is_named_with_its_number(make_folder: MakeFolder, line: str) -> None:
+    folder = make_folder()
+    edit(folder / "rgb.txt", lambda lines: [*lines[:3], line, *lines[3:]])
+    fails(folder, f'line 4 is not "timestamp filename": {line!r}')
+
+
+def test_a_list_that_is_not_text_is_named(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00")
+    fails(folder, "not text in UTF-8")
+
+
+def test_commas_tabs_byte_order_marks_and_spaces_in_names_are_read(
+    make_folder: MakeFolder,
+) -> None:
+    folder = make_folder()
+    (folder / "rgb/2.png").rename(folder / "rgb/two words.png")
+    edit(folder / "rgb.txt", lambda lines: [s.replace("2.png", "two words.png") for s in lines])
+    text = (folder / "depth.txt").read_text().replace(" depth/", ",\tdepth/")
+    (folder / "depth.txt").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    assert len(list(open_sequence(folder, CONFIG))) == 6
+
+
+def test_unsorted_lists_are_sorted_and_said(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    edit(folder / "rgb.txt", lambda lines: lines[::-1])
+    sequence = open_sequence(folder, CONFIG)
+    assert [frame.rgb[0, 0, 0] for frame in sequence] == list(range(6))
+    assert sequence.warnings == ("rgb.txt is not in the order of time; it was sorted",)
+
+
+def test_of_equal_times_the_first_is_used_and_said(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    edit(folder / "rgb.txt", lambda lines: [*lines, "100.2 rgb/5.png", lines[-1]])
+    sequence = open_sequence(folder, CONFIG)
+    assert [frame.rgb[0, 0, 0] for frame in sequence] == list(range(6))
+    assert "rgb.txt has 2 line(s) whose timestamp came before" in sequence.warnings[-1]
+
+
+def test_images_without_partner_are_counted(make_folder: MakeFolder) -> None:
+    folder = make_folder(10)
+    edit(folder / "depth.txt", lambda lines: [*lines[:3], *lines[5:], "300.0 depth/0.png"])
+    sequence = open_sequence(folder, CONFIG)
+    assert (len(sequence), sequence.unpaired_color, sequence.unpaired_depth) == (8, 2, 1)
+    assert "2 of 10 colour images have no depth image within 0.02 s" in sequence.warnings[0]
+
+
+def test_no_pair_says_the_smallest_gap_and_the_flag(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    tight = InputConfig(max_time_difference_s=0.003)
+    said = fails(folder, "the smallest difference is 0.004 s, allowed are 0.003 s", tight)
+    assert "--input.max-time-difference-s" in said
+
+
+def test_ground_truth_is_poses_of_the_camera(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    half = np.sqrt(0.5)
+    (folder / "groundtruth.txt").write_text(
+        f"# truth\n100.0 1 2 3 0 0 {half} {half}\n100.1 1 2 3 0 0 7 7\n"
+    )
+    truth = open_sequence(folder, CONFIG).ground_truth
+    assert truth is not None
+    assert truth.timestamps_s.tolist() == [100.0, 100.1]
+    quarter_turn = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(truth.T_world_cam, [quarter_turn] * 2, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("100.1 0 0 0 0 0 1", "line 2 is not"),
+        ("100.1 0 0 0 0 0 0 1 9", "line 2 is not"),
+        ("100.1 x 0 0 0 0 0 1", "line 2 is not"),
+        ("100.1 nan 0 0 0 0 0 1", "line 2 is not"),
+        ("100.1 0 0 0 0 0 0 0", "line 2 has a quaternion of length zero"),
+    ],
+)
+def test_malformed_ground_truth_is_named_with_its_line(
+    make_folder: MakeFolder, line: str, said: str
+) -> None:
+    folder = make_folder()
+    (folder / "groundtruth.txt").write_text(f"100.0 0 0 0 0 0 0 1\n{line}\n")
+    assert fails(folder, said).endswith("groundtruth.txt")
+
+
+def test_ground_truth_out_of_order_is_put_in_order_and_said(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    lines = truth_lines()
+    (folder / "groundtruth.txt").write_text("\n".join([*lines[::-1], "100.2 9 9 9 0 0 0 1"]))
+    sequence = open_sequence(folder, CONFIG)
+    assert sequence.ground_truth is not None
+    assert sequence.ground_truth.T_world_cam[:, 0, 3].tolist() == list(range(6))
+    assert [warning.split(maxsplit=1)[0] for warning in sequence.warnings] == [
+        "groundtruth.txt",
+        "groundtruth.txt",
+    ]
+
+
+def test_ground_truth_without_a_pose_is_none_and_said(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    (folder / "groundtruth.txt").write_text("# nothing\n")
+    sequence = open_sequence(folder, CONFIG)
+    assert sequence.ground_truth is None
+    assert "no ground truth" in sequence.warnings[0]
+
+
+def test_a_camera_of_another_image_size_names_both_sizes(make_folder: MakeFolder) -> None:
+    folder = make_folder(name="fr1_tiny")
+    (folder / "camera.toml").unlink()
+    said = fails(folder, "a colour image has 32x24 pixels but the camera 640x480")
+    assert "--input.camera" in said
+
+
+def test_a_depth_scale_that_cannot_be_right_is_a_warning(make_folder: MakeFolder) -> None:
+    sequence = open_sequence(make_folder(), InputConfig(depth_scale=100.0))
+    assert "--input.depth-scale 5000" in sequence.warnings[0]
+    assert len(list(sequence)) == 6
+
+
+@pytest.mark.skipif(not DESK.is_dir(), reason="no copy of fr1_desk under LOOPCLOSE_DATA")
+def test_fr1_desk_is_paired_as_by_the_benchmarks_own_tool() -> None:
+    sequence = open_sequence(DESK, CONFIG)
+    assert (len(sequence), sequence.unpaired_color, sequence.unpaired_depth) == (573, 40, 22)
+    assert sequence.camera.fx == 517.3
+    assert sequence.ground_truth is not None
+    assert len(sequence.ground_truth) == 2335
+    assert sequence.warnings == ()
+    np.testing.assert_array_equal(
+        sequence.timestamps_s[:5],
+        [
+            1305031453.359684,
+            1305031453.391690,
+            1305031453.423683,
+            1305031453.459685,
+            1305031453.491698,
+        ],
+    )
+    for i, frame in zip(range(5), sequence, strict=False):
+        assert frame.timestamp_s == sequence.timestamps_s[i]
+        assert frame.rgb.shape == (480, 640, 3)
+        assert 0.5 < np.median(frame.depth_m[frame.depth_m > 0]) < 3.0
