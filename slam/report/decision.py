@@ -7,18 +7,10 @@ from dataclasses import dataclass
 
 from slam.drift import DriftReport, LoopTruth
 from slam.types import Keyframe, LoopAttempt, Rejection, RejectionReason, SlamResult
-
-TRUSTED_WEIGHT = 0.5
-"""An accepted loop that the graph trusts less than this counts as outvoted."""
+from slam.verdict import final_rejection
 
 FALSE, ACCEPTED = "false", "accepted"
 OUTVOTED = RejectionReason.OUTVOTED.name.lower()
-
-_LABELS = {
-    FALSE: "accepted, but false against ground truth",
-    OUTVOTED: RejectionReason.OUTVOTED.value,
-    ACCEPTED: "accepted",
-}
 
 
 def _count(what: str) -> Callable[[float, float], str]:
@@ -42,8 +34,8 @@ def _similarity(measured: float, needed: float) -> str:
     return f"needed similarity {needed:.3f}, had {measured:.3f}: {needed - measured:.3f} short"
 
 
-def _residual(measured: float, needed: float) -> str:
-    return f"disagreement {measured:.3g}, allowed {needed:.3g}"
+def _weight(measured: float, needed: float) -> str:
+    return f"needed weight {needed:.2f} in the pose graph, had {measured:.2f}"
 
 
 _MARGINS: dict[RejectionReason, Callable[[float, float], str]] = {
@@ -53,7 +45,7 @@ _MARGINS: dict[RejectionReason, Callable[[float, float], str]] = {
     RejectionReason.FEW_INLIERS: _count("inliers"),
     RejectionReason.LOW_INLIER_RATIO: _share("of the matches as inliers"),
     RejectionReason.NARROW_SUPPORT: _share("of the image covered by inliers"),
-    RejectionReason.OUTVOTED: _residual,
+    RejectionReason.OUTVOTED: _weight,
 }
 
 
@@ -73,25 +65,23 @@ class Decision:
     truth: LoopTruth | None
 
     @property
+    def rejection(self) -> Rejection | None:
+        """Why the loop is not in use, by geometry or by the pose graph; None for accepted ones."""
+        return final_rejection(self.attempt)
+
+    @property
     def kind(self) -> str:
-        """What became of it: false, outvoted, accepted, or the name of the rejection reason."""
-        outcome = self.attempt.outcome
-        if isinstance(outcome, Rejection):
-            return outcome.reason.name.lower()
-        if self.attempt.weight is not None and self.attempt.weight < TRUSTED_WEIGHT:
-            return OUTVOTED
-        return FALSE if self.is_false else ACCEPTED
+        """What became of it: accepted, false, or the name of the rejection's reason."""
+        if rejection := self.rejection:
+            return rejection.reason.name.lower()
+        return FALSE if self.truth is not None and self.truth.is_false else ACCEPTED
 
     @property
     def label(self) -> str:
         """The kind in plain words."""
-        outcome = self.attempt.outcome
-        return outcome.reason.value if isinstance(outcome, Rejection) else _LABELS[self.kind]
-
-    @property
-    def is_false(self) -> bool:
-        """Whether ground truth contradicts the measured motion."""
-        return self.truth is not None and self.truth.is_false is True
+        if rejection := self.rejection:
+            return rejection.reason.value
+        return "accepted, but false by ground truth" if self.kind == FALSE else "accepted"
 
     @property
     def matches(self) -> int | None:
@@ -108,18 +98,16 @@ class Decision:
     @property
     def shortfall(self) -> float:
         """How far a rejected candidate was from the opposite decision, as a share of the need."""
-        outcome = self.attempt.outcome
-        if not isinstance(outcome, Rejection):
+        if not (rejection := self.rejection):
             return 0.0
-        gap = abs(outcome.needed - outcome.measured) / max(abs(outcome.needed), 1e-9)
+        gap = (rejection.needed - rejection.measured) / max(abs(rejection.needed), 1e-9)
         return gap if math.isfinite(gap) else math.inf
 
     @property
     def margin(self) -> str:
         """Measured against needed, or how much an accepted loop is trusted."""
-        outcome = self.attempt.outcome
-        if isinstance(outcome, Rejection):
-            return _MARGINS[outcome.reason](outcome.measured, outcome.needed)
+        if rejection := self.rejection:
+            return _MARGINS[rejection.reason](rejection.measured, rejection.needed)
         if self.attempt.weight is None:
             return "not weighed by the pose graph"
         return f"weight {self.attempt.weight:.2f} in the pose graph"

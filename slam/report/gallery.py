@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision
-from slam.types import Camera, RejectionReason
+from slam.types import Camera
 
 MAX_PICTURES = 60
 WIDTH_PX = 480
@@ -20,23 +20,31 @@ INLIER, OUTLIER = (64, 230, 150), (235, 70, 60)
 
 
 def choose(loops: list[Decision], limit: int = MAX_PICTURES) -> list[Decision]:
-    """Return the decisions worth a picture: doubtful ones, near misses, a spread of accepted.
+    """Return the decisions worth a picture: doubtful ones, a spread of accepted, near misses.
 
-    Every doubtful (false or outvoted) loop comes first; accepted loops, spread over time, share
-    what is left with the rejections closest to the opposite decision.
+    False loops come first, then outvoted ones in up to half of the room. Accepted loops, spread
+    over time, and rejections share what is left; of each reason the closest miss comes first.
     """
     groups: dict[str, list[Decision]] = defaultdict(list)
     for loop in loops:
         groups[loop.kind].append(loop)
-    doubtful = (groups.pop(FALSE, []) + groups.pop(OUTVOTED, []))[:limit]
-    room = limit - len(doubtful)
-    unlike = sorted(groups.pop(RejectionReason.LOW_SIMILARITY.name.lower(), []), key=_shortfall)
+    false = groups.pop(FALSE, [])[:limit]
+    doubtful = false + groups.pop(OUTVOTED, [])[: (limit - len(false)) // 2]
     accepted = groups.pop(ACCEPTED, [])
-    near = sorted((loop for group in groups.values() for loop in group), key=_shortfall)
-    near += unlike[: limit // 10] if near else unlike
-    share = max(room // 2, room - len(near))
-    shown = spread(accepted, share)
-    return doubtful + shown + near[: room - len(shown)]
+    missed = nearest_misses(list(groups.values()))
+    room = limit - len(doubtful)
+    shown = spread(accepted, max(room // 2, room - len(missed)))
+    return doubtful + shown + missed[: room - len(shown)]
+
+
+def nearest_misses(groups: list[list[Decision]]) -> list[Decision]:
+    """Return rejections of all reasons in turn, the closest to acceptance of each first."""
+    ranked = [
+        (rank, loop)
+        for group in groups
+        for rank, loop in enumerate(sorted(group, key=lambda one: one.shortfall))
+    ]
+    return [loop for _, loop in sorted(ranked, key=lambda pair: (pair[0], pair[1].shortfall))]
 
 
 def spread(loops: list[Decision], number: int) -> list[Decision]:
@@ -45,10 +53,6 @@ def spread(loops: list[Decision], number: int) -> list[Decision]:
         return loops
     slices = np.array_split(np.arange(len(loops)), number) if number else []
     return [max((loops[i] for i in part), key=lambda loop: loop.inliers or 0) for part in slices]
-
-
-def _shortfall(loop: Decision) -> float:
-    return loop.shortfall
 
 
 def picture(loop: Decision, camera: Camera) -> str:
@@ -77,6 +81,6 @@ def _draw_matches(canvas: Image.Image, loop: Decision, camera: Camera) -> None:
     for line in ends[~check.inlier_mask].tolist():
         pen.line(line, fill=(*OUTLIER, 90), width=1)
     for u_ref, v_ref, u_query, v_query in ends[check.inlier_mask].tolist():
-        pen.line((u_ref, v_ref, u_query, v_query), fill=(*INLIER, 170), width=2)
+        pen.line((u_ref, v_ref, u_query, v_query), fill=(*INLIER, 190), width=3)
         for u, v in ((u_ref, v_ref), (u_query, v_query)):
             pen.ellipse((u - 4, v - 4, u + 4, v + 4), fill=(*INLIER, 230))

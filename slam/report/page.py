@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report page: drawings, pictures, tables and words put into the template."""
 
-import os
 import platform
-import tempfile
 from collections import Counter
 from dataclasses import dataclass
 from importlib import metadata
@@ -14,12 +12,13 @@ import numpy as np
 from markupsafe import Markup
 
 from slam.drift import DriftReport
+from slam.output_file import write_atomically
 from slam.report.decision import ACCEPTED, FALSE, Decision, decisions
 from slam.report.gallery import choose, picture
+from slam.report.headline import headline, length
 from slam.report.path_figures import correction_over_time, error_over_time, path_view
 from slam.report.paths import Paths, gather
 from slam.report.place_figures import distance_matrix, similarity_histogram, similarity_matrix
-from slam.report.verdict import length, verdict
 from slam.types import RejectionReason, SlamResult, Trajectory
 
 MAX_ROWS = 1000
@@ -58,18 +57,9 @@ def write_report(
     """Write the page that explains a run; `truth` adds the true path to the drawings.
 
     Raises:
-        OSError: the file cannot be written.
+        SlamError: the file cannot be written.
     """
-    page = render(result, drift, settings_toml, title, truth)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(page)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_atomically(path, render(result, drift, settings_toml, title, truth))
 
 
 def render(
@@ -97,7 +87,7 @@ def render(
         title=title,
         result=result,
         drift=drift,
-        verdict=verdict(result, drift, loops),
+        headline=headline(result, drift, loops),
         frames=frames,
         counts=count(loops),
         drawings=draw(result, drift, paths, loops),
@@ -105,6 +95,7 @@ def render(
         card_counts=count(chosen),
         loops=loops[:MAX_ROWS],
         attempted=len(loops),
+        accepted=sum(loop.rejection is None for loop in loops),
         paths=paths,
         stages=stages(result.stage_seconds, frames),
         settings=settings_toml,

@@ -56,7 +56,7 @@ def _draw_loops(axes: Axes, paths: Paths, loops: list[Decision], plane: tuple[in
             if loop.kind == kind:
                 pieces += [paths.keyframes_m[[loop.match.id, loop.query.id]], gap]
         if pieces:
-            alpha = 0.35 if kind == ACCEPTED else 0.9
+            alpha = 0.5 if kind == ACCEPTED else 0.9
             line = np.concatenate(pieces)[:, plane].T
             axes.plot(*line, color=colour, lw=0.8, alpha=alpha, label=f"{kind} loop")
 
@@ -95,7 +95,7 @@ def correction_over_time(paths: Paths, result: SlamResult, loops: list[Decision]
         shift = result.trajectory.T_world_cam - result.odometry.T_world_cam
         moved = np.linalg.norm(shift[:, :3, 3], axis=1)
         times, moved = broken(paths.times_s, moved)
-        axes.plot(times, 100 * moved, color=AFTER, lw=1.4, label="moved by loop closure")
+        axes.plot(times, 100 * moved, color=AFTER, lw=1.4, label="correction")
         axes.set_ylabel("odometry to corrected (cm)")
         _mark_times(axes, paths, loops)
 
@@ -106,6 +106,7 @@ def correction_over_time(paths: Paths, result: SlamResult, loops: list[Decision]
 def _mark_times(axes: Axes, paths: Paths, loops: list[Decision]) -> None:
     """Mark untracked frames, and put a tick at every keyframe that closed a loop."""
     axes.set_xlabel("time (s)")
+    axes.tick_params("x", pad=9)  # room for the triangles
     axes.set_ylim(bottom=0)
     if len(paths.lost_s):
         low = np.zeros(len(paths.lost_s))
@@ -117,5 +118,5 @@ def _mark_times(axes: Axes, paths: Paths, loops: list[Decision]) -> None:
         closed = [loop.query.timestamp_s - paths.start_s for loop in loops if loop.kind == kind]
         if closed:
             times = np.unique(closed)
-            marks = axes.plot(times, 0 * times - 0.02, "^", color=colour, ms=5, clip_on=False)
+            marks = axes.plot(times, 0 * times - 0.035, "^", color=colour, ms=5, clip_on=False)
             marks[0].set(transform=axes.get_xaxis_transform(), label=f"{kind} loop")

@@ -26,6 +26,7 @@ WRONG = LoopTruth(0.40, 0.5, 0.1, 3.0, True)
         (RejectionReason.LOW_SIMILARITY, 0.71, 0.75, "needed similarity 0.750, had 0.710: 0.040"),
         (RejectionReason.LOW_INLIER_RATIO, 0.18, 0.25, "needed 25.0% of the matches"),
         (RejectionReason.NARROW_SUPPORT, 0.012, 0.04, "2.8 points short"),
+        (RejectionReason.OUTVOTED, 0.02, 0.5, "needed weight 0.50 in the pose graph, had 0.02"),
     ],
 )
 def test_a_rejection_says_how_much_was_missing(run, reason, measured, needed, text) -> None:
@@ -48,7 +49,7 @@ def test_every_reason_has_words(run, reason: RejectionReason, measured: float) -
         (0.99, None, ACCEPTED),
         (None, RIGHT, ACCEPTED),
         (0.99, WRONG, FALSE),
-        (0.01, WRONG, OUTVOTED),
+        (0.01, replace(WRONG, is_false=None), OUTVOTED),
         (0.01, None, OUTVOTED),
     ],
 )

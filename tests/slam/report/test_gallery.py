@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, decisions
-from slam.report.gallery import INLIER, choose, picture, spread
-from slam.types import Verification
+from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision, decisions
+from slam.report.gallery import INLIER, choose, nearest_misses, picture, spread
+from slam.types import Rejection, RejectionReason, Verification
 
 
 def decode(uri: str) -> np.ndarray:
@@ -48,9 +48,17 @@ def test_the_choice_keeps_to_its_limit_and_repeats_nothing(run, limit: int) -> N
     chosen = choose(loops, limit)
     assert len(chosen) <= limit
     assert len({id(loop) for loop in chosen}) == len(chosen)
-    if limit >= 30:
-        doubtful = [loop for loop in loops if loop.kind in (FALSE, OUTVOTED)]
-        assert chosen[: len(doubtful)] == sorted(doubtful, key=lambda one: one.kind != FALSE)
+
+
+def test_doubtful_loops_come_first(run) -> None:
+    first = next(i for i, one in enumerate(run.drift.loops) if one.is_false is False)
+    truths = list(run.drift.loops)
+    truths[first] = replace(truths[first], is_false=True)
+    loops = decisions(run.result, replace(run.drift, loops=tuple(truths)))
+    kinds = [loop.kind for loop in choose(loops, 20)]
+    outvoted = sum(loop.kind == OUTVOTED for loop in loops)
+    assert outvoted > 0
+    assert kinds[: 1 + outvoted] == [FALSE] + outvoted * [OUTVOTED]
 
 
 def test_accepted_loops_are_spread_over_time(run) -> None:
@@ -61,9 +69,15 @@ def test_accepted_loops_are_spread_over_time(run) -> None:
     assert shown[-1] in accepted[-len(accepted) // 4 - 1 :]
 
 
-def test_near_misses_come_before_clear_cases(run) -> None:
-    shown = choose(decisions(run.result, run.drift), 40)
-    gaps = [loop.shortfall for loop in shown if loop.attempt.verification and loop.shortfall]
-    hopeless = max(loop.shortfall for loop in decisions(run.result, run.drift))
-    assert gaps
-    assert min(gaps) < 0.5 * hopeless
+def test_of_every_reason_the_closest_miss_comes_first(run) -> None:
+    few = [loop for loop in decisions(run.result, None) if loop.kind == "few_inliers"][:3]
+    other = [loop for loop in decisions(run.result, None) if loop.kind == "low_similarity"][:2]
+    missed = [miss(loop, had) for loop, had in zip(few, (3, 24, 10), strict=True)]
+    order = nearest_misses([missed, other])
+    assert {id(one) for one in order[:2]} == {id(missed[1]), id(other[0])}
+    assert order[-1] is missed[0]
+
+
+def miss(loop: Decision, had: float) -> Decision:
+    refusal = Rejection(RejectionReason.FEW_INLIERS, had, 25)
+    return replace(loop, attempt=replace(loop.attempt, outcome=refusal))

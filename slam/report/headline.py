@@ -22,7 +22,7 @@ def length(metres: float) -> str:
     return f"{100 * metres:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
 
 
-def verdict(result: SlamResult, drift: DriftReport | None, loops: list[Decision]) -> list[str]:
+def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision]) -> list[str]:
     """Return what happened, one sentence per fact, the most important first."""
     sentences = [_drift(result, drift), _loops(drift, loops)]
     if drift is not None and min(drift.coverage, drift.after.matched_share) < 0.995:
@@ -30,8 +30,6 @@ def verdict(result: SlamResult, drift: DriftReport | None, loops: list[Decision]
             f"Ground truth covers {drift.coverage:.0%} of the sequence's time span; "
             "the figures say nothing about the rest."
         )
-    if lost := len(result.untracked_s):
-        sentences.append(f"{_count(lost, 'frame')} could not be tracked and {_have(lost)} no pose.")
     return sentences
 
 
@@ -73,9 +71,7 @@ def _loops(drift: DriftReport | None, loops: list[Decision]) -> str:
         text += f", {_falsehood(loops, kinds[FALSE])}"
     text += "."
     if out := kinds[OUTVOTED]:
-        text += f" The pose graph outvoted {out} more that contradicted the rest"
-        wrong = sum(loop.is_false for loop in loops if loop.kind == OUTVOTED)
-        text += f", {wrong} of them false by ground truth." if wrong else "."
+        text += f" The pose graph outvoted {out} more that contradicted the rest."
     return text
 
 
@@ -94,7 +90,3 @@ def _count(number: int, noun: str) -> str:
 
 def _was(number: int) -> str:
     return "was" if number == 1 else "were"
-
-
-def _have(number: int) -> str:
-    return "has" if number == 1 else "have"
