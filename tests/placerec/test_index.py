@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placerec.index import PlaceIndex
+from placerec.recognizer import RecognizerError
+
+
+def _unit(rng: np.random.Generator, count: int, size: int) -> np.ndarray:
+    rows = rng.normal(size=(count, size))
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 200), st.integers(1, 40), st.integers(0, 220), st.integers(0, 2**32 - 1))
+def test_query_agrees_with_sorting_every_cosine(places, size, limit, seed):
+    rng = np.random.default_rng(seed)
+    rows, query = _unit(rng, places, size), _unit(rng, 1, size)[0]
+    index = PlaceIndex()
+    assert [index.add(row) for row in rows] == list(range(places))
+    ids, similarities = index.query(query, 5, limit)
+    true = rows.astype(float) @ query
+    best = np.sort(true[:limit])[::-1][:5]
+    assert len(set(ids)) == len(ids) == len(best)
+    assert np.allclose(true[ids], best, atol=1e-5)
+    assert np.allclose(similarities, best, atol=1e-5)
+    assert (ids < limit).all()
+
+
+@pytest.mark.parametrize("size", [3, 128, 496, 960])
+@pytest.mark.parametrize("places", [2, 3, 50, 65, 137])
+def test_equal_places_tie_and_the_earlier_one_is_first(places, size):
+    row, query = _unit(np.random.default_rng(size), 2, size)
+    index = PlaceIndex()
+    for _ in range(places):
+        index.add(row)
+    ids, similarities = index.query(query, places)
+    assert ids.tolist() == list(range(places))
+    assert len(set(similarities.tolist())) == 1
+
+
+def test_empty_index_and_empty_limit_find_nothing():
+    index = PlaceIndex()
+    unit = np.float32([1.0, 0.0])
+    assert index.query(unit, 3)[0].shape == (0,)
+    assert index.similarities().shape == (0, 0)
+    index.add(unit)
+    assert index.query(unit, 3, limit=0)[0].shape == (0,)
+
+
+def test_remembers_a_copy():
+    index = PlaceIndex()
+    unit = np.float32([1.0, 0.0])
+    index.add(unit)
+    unit[:] = [0.0, 1.0]
+    assert index.query(np.float32([1.0, 0.0]), 1)[1][0] == 1.0
+
+
+def test_similarities_are_all_cosines():
+    rows = _unit(np.random.default_rng(0), 70, 9)
+    index = PlaceIndex()
+    for row in rows:
+        index.add(row)
+    similarities = index.similarities()
+    assert similarities.dtype == np.float32
+    assert np.allclose(similarities, rows.astype(float) @ rows.T, atol=1e-6)
+    assert similarities.max() <= 1.0
+
+
+def test_another_size_is_refused():
+    index = PlaceIndex()
+    with pytest.raises(RecognizerError, match=r"shape \(1, 2\)"):
+        index.add(np.ones((1, 2), np.float32))
+    index.add(np.float32([1.0, 0.0]))
+    with pytest.raises(RecognizerError, match=r"\(3,\).*\(2,\)"):
+        index.add(np.float32([1.0, 0.0, 0.0]))
+    with pytest.raises(RecognizerError, match=r"\(3,\).*\(2,\)"):
+        index.query(np.float32([1.0, 0.0, 0.0]), 1)
