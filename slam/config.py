@@ -101,6 +101,10 @@ class GraphConfig(Section):
 
     inlier_probability: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.99
     """Loops whose error is less likely than 1 minus this under their own noise are outvoted."""
+    outside_rotation_sigma_deg: PositiveFloat = 1.0
+    """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
+    outside_translation_sigma_m: PositiveFloat = 0.02
+    """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
 
 
 class EvaluationConfig(Section):

@@ -84,7 +84,7 @@ class Keyframe:
         id: 0, 1, 2, ... in the order of time.
         timestamp_s: seconds.
         T_odom_cam: (4, 4) camera pose in the odometry's (drifting) frame.
-        features: ORB features, or None where poses come from elsewhere without them.
+        features: ORB features.
         preview: the frame at half resolution, for the report and the fused point cloud.
     """
 

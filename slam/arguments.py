@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of run_slam."""
+
+import sys
+from argparse import ArgumentParser
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from slam.config import Config, load_config
+
+DEFAULT_RECOGNIZER = "gradients"
+
+_DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
+
+  run_slam demo                         render a room and run on it; needs no data
+  run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
+  run_slam path/to/folder               any recording in the TUM RGB-D format
+  run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
+
+Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What run_slam was asked to do."""
+
+    sequence: Annotated[str, tyro.conf.Positional]
+    """Folder in the TUM RGB-D format, short name of a TUM benchmark sequence, or `demo`."""
+    out: Path | None = None
+    """Folder for the outputs; default: runs/SEQUENCE."""
+    recognizer: str = DEFAULT_RECOGNIZER
+    """Place recognizer: an installed name, or package.module:ClassName."""
+    config: Path | None = None
+    """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
+    settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+
+
+def parse(arguments: list[str]) -> Arguments:
+    """Return the parsed command line; exits with code 2 and a message where it is wrong.
+
+    Raises:
+        SlamError: the settings file cannot be used.
+    """
+    defaults = Config()
+    config_path = _config_path(arguments)
+    if config_path is not None:
+        defaults = load_config(config_path)
+    return tyro.cli(
+        tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
+        prog="run_slam",
+        description=_DESCRIPTION,
+        args=arguments,
+        default=Arguments(sequence=tyro.MISSING, settings=defaults),
+    )
+
+
+def _config_path(arguments: list[str]) -> Path | None:
+    """Find --config before the rest is parsed: it holds the defaults of the other flags."""
+    finder = ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path)
+    found: Path | None = finder.parse_known_args(arguments)[0].config
+    return found

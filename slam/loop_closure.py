@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds the earlier keyframes that show the same place, and accounts for every candidate."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.index import PlaceIndex
+from placerec.recognizer import CheckedRecognizer, PlaceRecognizer
+from slam.config import LoopConfig, VerificationConfig
+from slam.relative_pose import estimate_relative_pose
+from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason
+
+
+class LoopCloser:
+    """Retrieve by similarity, verify by geometry; no candidate goes unrecorded."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        recognizer: PlaceRecognizer,
+        loop_config: LoopConfig,
+        verification_config: VerificationConfig,
+    ) -> None:
+        self._camera = camera
+        self._recognizer = CheckedRecognizer(recognizer)
+        self._loop_config = loop_config
+        self._verification_config = verification_config
+        self._keyframes: list[Keyframe] = []
+        self._index = PlaceIndex()
+        chosen = loop_config.min_similarity
+        self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
+
+    def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the (D,) unit embedding of a (H, W, 3) RGB image.
+
+        Raises:
+            RecognizerError: the recognizer returned something that is not an embedding.
+        """
+        return self._recognizer.embed(rgb)
+
+    def close(
+        self, keyframe: Keyframe, embedding: NDArray[np.float32]
+    ) -> tuple[LoopAttempt, ...]:
+        """Remember a keyframe and return what became of every earlier one that resembles it."""
+        latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
+        old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
+        ids, similarities = self._index.query(
+            embedding, count=self._loop_config.candidates, limit=old_enough
+        )
+        attempts = [
+            self._attempt(keyframe, self._keyframes[match_id], float(similarity))
+            for match_id, similarity in zip(ids, similarities, strict=True)
+            if similarity >= self.min_similarity
+        ]
+        if not attempts and len(ids):
+            # The best of those that were not similar enough answers "why was there no loop?".
+            attempts = [self._attempt(keyframe, self._keyframes[ids[0]], float(similarities[0]))]
+        self._keyframes.append(keyframe)
+        self._index.add(embedding)
+        return tuple(attempts)
+
+    def similarities(self) -> NDArray[np.float32]:
+        """Return (K, K), the cosine between the embeddings of all keyframes so far."""
+        return self._index.similarities()
+
+    def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
+        if similarity < self.min_similarity:
+            rejection = Rejection(RejectionReason.LOW_SIMILARITY, similarity, self.min_similarity)
+            return LoopAttempt(query.id, match.id, similarity, None, rejection)
+        verification = estimate_relative_pose(
+            match.features, query.features, self._camera, self._verification_config
+        )
+        return LoopAttempt(query.id, match.id, similarity, verification, verification.outcome)

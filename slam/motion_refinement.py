@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robust least squares for the rigid motion between two views with depth.
+
+Each match is measured twice: the reference's point as the query should see it, and the query's
+point as the reference should see it. A view measures pixel u, pixel v and disparity
+`baseline * fx / depth`, in which a structured-light camera's noise is constant.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam import se3
+from slam.types import Camera, Features, FloatArray
+
+_PIXEL_SIGMA_PX = 1.0  # on the finest pyramid level
+_LEVEL_SCALE = 1.2  # noise grows with the size of the patch
+_BASELINE_M = 0.075  # of the Kinect
+_DISPARITY_SIGMA_PX = 0.5
+_HUBER = 1.0  # whitened length from which a residual's pull stops growing
+_MAX_STEPS = 8
+_SMALL_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class _View:
+    """One direction: points of the other camera, and where this one saw them."""
+
+    points_other_m: FloatArray  # (M, 3), NaN where the other camera has no depth
+    measured: FloatArray  # (M, 3) u px, v px, disparity px (NaN where this one has no depth)
+    sigma: FloatArray  # (M, 3)
+
+    @staticmethod
+    def of(
+        other: Features,
+        other_index: NDArray[np.int64],
+        this: Features,
+        this_index: NDArray[np.int64],
+        camera: Camera,
+    ) -> "_View":
+        disparity_px = _BASELINE_M * camera.fx / this.depth_m[this_index]
+        pixel_sigma = _PIXEL_SIGMA_PX * _LEVEL_SCALE ** this.octaves[this_index]
+        disparity_sigma = np.full(len(this_index), _DISPARITY_SIGMA_PX)
+        return _View(
+            points_other_m=other.points_m[other_index],
+            measured=np.column_stack([this.undistorted_px[this_index], disparity_px]),
+            sigma=np.column_stack([pixel_sigma, pixel_sigma, disparity_sigma]),
+        )
+
+    def select(self, mask: NDArray[np.bool_]) -> "_View":
+        return _View(self.points_other_m[mask], self.measured[mask], self.sigma[mask])
+
+    def residuals(
+        self, T_this_other: FloatArray, camera: Camera
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return whitened residuals (M, 3), their derivative (M, 3, 3) by the point, the points."""
+        points_m = se3.transform(T_this_other, self.points_other_m)
+        seen, derivative = _project(points_m, camera)
+        residuals = (seen - self.measured) / self.sigma
+        known = np.isfinite(residuals)
+        derivative = np.where(known[:, :, None], derivative / self.sigma[:, :, None], 0.0)
+        return np.where(known, residuals, 0.0), derivative, points_m
+
+
+@dataclass(frozen=True)
+class Correspondences:
+    """M matched features of two views."""
+
+    query_view: _View
+    reference_view: _View
+
+    @staticmethod
+    def of(
+        reference: Features, query: Features, pairs: NDArray[np.int64], camera: Camera
+    ) -> "Correspondences":
+        """Collect the measurements of (M, 2) index pairs (reference, query)."""
+        i, j = pairs.T
+        return Correspondences(
+            query_view=_View.of(reference, i, query, j, camera),
+            reference_view=_View.of(query, j, reference, i, camera),
+        )
+
+    def select(self, mask: NDArray[np.bool_]) -> "Correspondences":
+        """Keep the matches where the (M,) mask is true."""
+        return Correspondences(self.query_view.select(mask), self.reference_view.select(mask))
+
+
+def refine(
+    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    """Return the refined T_ref_query and the (6, 6) Hessian of the robust cost there.
+
+    The Hessian belongs to a tangent [rotation; translation] applied on the right of T_ref_query.
+    """
+    for _ in range(_MAX_STEPS):
+        hessian, gradient = _normal_equations(T_ref_query, correspondences, camera)
+        step = -np.linalg.solve(hessian, gradient)
+        T_ref_query = T_ref_query @ se3.exp(step)
+        if np.linalg.norm(step) < _SMALL_STEP:
+            break
+    return T_ref_query, _normal_equations(T_ref_query, correspondences, camera)[0]
+
+
+def residual_lengths(
+    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+) -> FloatArray:
+    """Return (M,) lengths of the whitened residuals in the query's image, in standard deviations.
+
+    On the finest pyramid level one standard deviation is one pixel.
+    """
+    T_query_ref = se3.inverse(T_ref_query)
+    residuals, _, points_m = correspondences.query_view.residuals(T_query_ref, camera)
+    return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals, axis=1), np.inf)
+
+
+def _normal_equations(
+    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    R_ref_query = T_ref_query[:3, :3]
+    T_query_ref = se3.inverse(T_ref_query)
+    query, reference = correspondences.query_view, correspondences.reference_view
+
+    # p_query = exp(-xi) T_query_ref p_ref, so d p_query = p_query x omega - v
+    residuals, by_point, points_m = query.residuals(T_query_ref, camera)
+    J = _chain(by_point, _skews(points_m), -np.eye(3))
+    hessian, gradient = _weighted(residuals, J)
+
+    # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
+    residuals, by_point, _ = reference.residuals(T_ref_query, camera)
+    J = _chain(by_point, -R_ref_query @ _skews(reference.points_other_m), R_ref_query)
+    more_hessian, more_gradient = _weighted(residuals, J)
+    # A trace of curvature keeps the step finite where few matches leave a direction open.
+    return hessian + more_hessian + 1e-6 * np.eye(6), gradient + more_gradient
+
+
+def _chain(by_point: FloatArray, by_omega: FloatArray, by_v: FloatArray) -> FloatArray:
+    known = np.where(np.isfinite(by_omega), by_omega, 0.0)
+    return np.concatenate([by_point @ known, by_point @ by_v], axis=2)
+
+
+def _weighted(residuals: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
+    lengths = np.linalg.norm(residuals, axis=1)
+    weights = np.minimum(1.0, _HUBER / np.maximum(lengths, 1e-12))  # Huber's
+    flat_J = J.reshape(-1, 6)
+    weighted_J = (weights[:, None, None] * J).reshape(-1, 6)
+    return weighted_J.T @ flat_J, weighted_J.T @ residuals.ravel()
+
+
+def _project(points_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    inverse_z = 1.0 / points_m[:, 2]
+    x, y = points_m[:, 0] * inverse_z, points_m[:, 1] * inverse_z
+    baseline_fx = _BASELINE_M * camera.fx
+    seen = np.column_stack(
+        [camera.fx * x + camera.cx, camera.fy * y + camera.cy, baseline_fx * inverse_z]
+    )
+    derivative = np.zeros((len(points_m), 3, 3))
+    derivative[:, 0, 0] = camera.fx * inverse_z
+    derivative[:, 0, 2] = -camera.fx * x * inverse_z
+    derivative[:, 1, 1] = camera.fy * inverse_z
+    derivative[:, 1, 2] = -camera.fy * y * inverse_z
+    derivative[:, 2, 2] = -baseline_fx * inverse_z**2
+    return seen, derivative
+
+
+def _skews(vectors: FloatArray) -> FloatArray:
+    x, y, z = vectors.T
+    skews = np.zeros((len(vectors), 3, 3))
+    skews[:, 0, 1], skews[:, 0, 2], skews[:, 1, 2] = -z, y, -x
+    skews[:, 1, 0], skews[:, 2, 0], skews[:, 2, 1] = z, -y, x
+    return skews

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One estimator of the rigid motion between two views, for odometry and for loops alike."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam import se3
+from slam.config import VerificationConfig
+from slam.features import match
+from slam.motion_refinement import Correspondences, refine, residual_lengths
+from slam.types import (
+    Camera,
+    Features,
+    FloatArray,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    Verification,
+)
+
+_MIN_FOR_POSE = 6
+# What repeated views of one place disagree by however many features they share: rolling
+# shutter, colour and depth taken at different instants, depth distortion. Measured on fr1_xyz
+# (`python benchmarks/motion_noise.py`); without it the graph would trust large inlier sets blindly.
+_ROTATION_FLOOR_RAD = 0.005
+_TRANSLATION_FLOOR_M = 0.006
+
+
+def estimate_relative_pose(
+    reference: Features, query: Features, camera: Camera, config: VerificationConfig
+) -> Verification:
+    """Return the motion `T_ref_query` between two views, or why there is none, with the evidence.
+
+    Descriptors propose matches, PnP RANSAC finds the motion most of them agree on, and a robust
+    least-squares refinement over both views' pixels and depths polishes it.
+    """
+    pairs = match(reference, query, config.max_descriptor_distance)
+    pairs = pairs[np.isfinite(reference.depth_m[pairs[:, 0]])]
+    estimate = _estimate(reference, query, pairs, camera, config)
+    inlier_mask = np.zeros(len(pairs), dtype=bool)
+    if not isinstance(estimate, Rejection):
+        inlier_mask = estimate.inlier_mask
+    return Verification(
+        outcome=_judge(estimate, reference.pixels[pairs[:, 0]], camera, config),
+        pixels=np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]]),
+        inlier_mask=inlier_mask,
+    )
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    T_ref_query: FloatArray
+    hessian: FloatArray
+    inlier_mask: NDArray[np.bool_]
+
+
+def _estimate(
+    reference: Features,
+    query: Features,
+    pairs: NDArray[np.int64],
+    camera: Camera,
+    config: VerificationConfig,
+) -> _Estimate | Rejection:
+    if len(pairs) < config.min_matches:
+        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), config.min_matches)
+    points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
+    found = _ransac(points_m, pixels, camera, config)
+    if found is None or np.count_nonzero(found[1]) < _MIN_FOR_POSE:
+        inliers = 0 if found is None else np.count_nonzero(found[1])
+        return Rejection(RejectionReason.NO_POSE, inliers, _MIN_FOR_POSE)
+    T_ref_query, inlier_mask = found
+    correspondences = Correspondences.of(reference, query, pairs, camera)
+    # RANSAC's pose comes from four matches; the refined pose knows better which others agree.
+    T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+    lengths = residual_lengths(T_ref_query, correspondences, camera)
+    inlier_mask = lengths < config.max_reprojection_px
+    if np.count_nonzero(inlier_mask) < _MIN_FOR_POSE:
+        inliers = np.count_nonzero(inlier_mask)
+        return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
+    T_ref_query, hessian = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+    return _Estimate(T_ref_query, hessian, inlier_mask)
+
+
+def _ransac(
+    points_ref_m: FloatArray, query_px: FloatArray, camera: Camera, config: VerificationConfig
+) -> tuple[FloatArray, NDArray[np.bool_]] | None:
+    cv2.setRNGSeed(0)
+    found, rotation, translation, inliers = cv2.solvePnPRansac(
+        points_ref_m,
+        query_px,
+        camera.matrix,
+        None,
+        iterationsCount=config.ransac_iterations,
+        reprojectionError=config.max_reprojection_px,
+        confidence=0.9999,
+        flags=cv2.SOLVEPNP_AP3P,
+    )
+    if not found or inliers is None:
+        return None
+    inlier_mask = np.zeros(len(points_ref_m), dtype=bool)
+    inlier_mask[inliers.ravel()] = True
+    R_query_ref = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
+    return se3.inverse(se3.from_rotation_translation(R_query_ref, translation.ravel())), inlier_mask
+
+
+def _judge(
+    estimate: _Estimate | Rejection, pixels: FloatArray, camera: Camera, config: VerificationConfig
+) -> RelativePose | Rejection:
+    if isinstance(estimate, Rejection):
+        return estimate
+    inliers = np.count_nonzero(estimate.inlier_mask)
+    if inliers < config.min_inliers:
+        return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
+    ratio = inliers / len(pixels)
+    if ratio < config.min_inlier_ratio:
+        return Rejection(RejectionReason.LOW_INLIER_RATIO, ratio, config.min_inlier_ratio)
+    extent = np.ptp(pixels[estimate.inlier_mask], axis=0)
+    support = float(extent[0] * extent[1]) / (camera.width * camera.height)
+    if support < config.min_support:
+        return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
+    return RelativePose(estimate.T_ref_query, _information(estimate.hessian))
+
+
+def _information(hessian: FloatArray) -> FloatArray:
+    floor = np.diag([_ROTATION_FLOOR_RAD**2] * 3 + [_TRANSLATION_FLOOR_M**2] * 3)
+    information = np.linalg.inv(np.linalg.inv(hessian) + floor)
+    return np.asarray(0.5 * (information + information.T))

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from placerec.recognizer import PlaceRecognizer
+from slam import se3
+from slam.config import Config
+from slam.features import FeatureExtractor
+from slam.loop_closure import LoopCloser
+from slam.odometry import RgbdOdometry, TrackedFrame
+from slam.pose_graph import PoseGraph
+from slam.preview import preview
+from slam.stage_clock import StageClock
+from slam.types import (
+    Camera,
+    FloatArray,
+    Frame,
+    Keyframe,
+    Link,
+    LoopAttempt,
+    Rejection,
+    RelativePose,
+    SlamError,
+    SlamResult,
+    Trajectory,
+)
+
+
+@dataclass(frozen=True)
+class _Ride:
+    """A frame rides on its keyframe: it is corrected when the keyframe is."""
+
+    timestamp_s: float
+    keyframe_id: int
+    T_kf_cam: FloatArray
+
+
+class Slam:
+    """RGB-D SLAM with loop closure.
+
+    Two doors into one object: `process(frame)` tracks the camera itself; `add_keyframe(frame,
+    T_odom_cam)` takes poses from any other odometry. Either way `finish()` returns the result.
+    """
+
+    def __init__(
+        self, camera: Camera, recognizer: PlaceRecognizer, config: Config | None = None
+    ) -> None:
+        self._camera = camera
+        self._config = config or Config()
+        self._odometry = RgbdOdometry(camera, self._config)
+        self._extractor = FeatureExtractor(camera, self._config.features)
+        self._loop_closer = LoopCloser(
+            camera, recognizer, self._config.loop, self._config.verification
+        )
+        self._graph = PoseGraph(self._config.graph)
+        self._keyframes: list[Keyframe] = []
+        self._links: list[Link] = []
+        self._attempts: list[LoopAttempt] = []
+        self._rides: list[_Ride] = []
+        self._untracked_s: list[float] = []
+        self.clock = StageClock()
+
+    def process(self, frame: Frame) -> TrackedFrame | Rejection:
+        """Take the next frame of the camera and return where it was placed, or why it was not."""
+        with self.clock.stage("track"):
+            tracked = self._odometry.track(frame)
+        if isinstance(tracked, Rejection):
+            self._untracked_s.append(frame.timestamp_s)
+            return tracked
+        keyframe = tracked.new_keyframe
+        if keyframe is None:
+            ride = _Ride(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam)
+            self._rides.append(ride)
+        else:
+            self._insert(keyframe, tracked.links, frame)
+        return tracked
+
+    def add_keyframe(self, frame: Frame, T_odom_cam: FloatArray) -> tuple[LoopAttempt, ...]:
+        """Take a keyframe whose (4, 4) pose comes from elsewhere and return its loop candidates.
+
+        Raises:
+            SlamError: the pose is not a rigid transform, or the time does not increase.
+        """
+        self._check_pose(frame.timestamp_s, T_odom_cam)
+        keyframe = Keyframe(
+            id=len(self._keyframes),
+            timestamp_s=frame.timestamp_s,
+            T_odom_cam=T_odom_cam,
+            features=self._extractor.extract(frame),
+            preview=preview(frame),
+        )
+        links: tuple[Link, ...] = ()
+        if self._keyframes:
+            last = self._keyframes[-1]
+            T_last_cam = se3.inverse(last.T_odom_cam) @ T_odom_cam
+            motion = RelativePose(T_last_cam, self._outside_information())
+            links = (Link(last.id, keyframe.id, motion),)
+        return self._insert(keyframe, links, frame)
+
+    def _insert(
+        self, keyframe: Keyframe, links: tuple[Link, ...], frame: Frame
+    ) -> tuple[LoopAttempt, ...]:
+        with self.clock.stage("describe"):
+            embedding = self._loop_closer.describe(frame.rgb)
+        with self.clock.stage("close loops"):
+            attempts = self._loop_closer.close(keyframe, embedding)
+        with self.clock.stage("graph"):
+            self._constrain(keyframe, links, attempts)
+        self._keyframes.append(keyframe)
+        self._links.extend(links)
+        self._attempts.extend(attempts)
+        self._rides.append(_Ride(frame.timestamp_s, keyframe.id, np.eye(4)))
+        return attempts
+
+    def _constrain(
+        self, keyframe: Keyframe, links: tuple[Link, ...], attempts: tuple[LoopAttempt, ...]
+    ) -> None:
+        T_world_kf = np.eye(4)
+        if links:
+            T_world_kf = self._graph.T_world_kf(links[0].ref_id) @ links[0].motion.T_ref_query
+        self._graph.add_keyframe(keyframe.id, T_world_kf)
+        for link in links:
+            self._graph.add_link(link)
+        for key, attempt in enumerate(attempts, start=len(self._attempts)):
+            if isinstance(attempt.outcome, RelativePose):
+                self._graph.add_loop(key, attempt.match_id, attempt.query_id, attempt.outcome)
+        self._graph.update()
+
+    def finish(self) -> SlamResult:
+        """Solve the graph once more with all loops and return everything the run found out.
+
+        Raises:
+            SlamError: no frame could be tracked.
+        """
+        if not self._keyframes:
+            raise SlamError(
+                "no frame could be tracked: none shows enough texture with depth; check the depth"
+                " scale and the images, or lower --odometry.min-inliers"
+            )
+        with self.clock.stage("graph"):
+            solution = self._graph.finish()
+        T_odom_kf = np.array([keyframe.T_odom_cam for keyframe in self._keyframes])
+        return SlamResult(
+            camera=self._camera,
+            keyframes=tuple(self._keyframes),
+            T_world_kf=solution.T_world_kf,
+            odometry=self._trajectory(T_odom_kf),
+            trajectory=self._trajectory(solution.T_world_kf),
+            links=tuple(self._links),
+            attempts=tuple(
+                replace(attempt, weight=solution.weights.get(key))
+                for key, attempt in enumerate(self._attempts)
+            ),
+            similarities=self._loop_closer.similarities(),
+            min_similarity=self._loop_closer.min_similarity,
+            untracked_s=np.array(self._untracked_s),
+            stage_seconds=dict(self.clock.seconds),
+            warnings=(*self._tracking_warnings(), *solution.warnings),
+        )
+
+    def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
+        return Trajectory(
+            timestamps_s=np.array([ride.timestamp_s for ride in self._rides]),
+            T_world_cam=np.array([T_any_kf[r.keyframe_id] @ r.T_kf_cam for r in self._rides]),
+        )
+
+    def _tracking_warnings(self) -> tuple[str, ...]:
+        if not self._untracked_s:
+            return ()
+        total = len(self._untracked_s) + len(self._rides)
+        return (
+            f"{len(self._untracked_s)} of {total} frames could not be tracked and are in no"
+            f" trajectory; the first at {self._untracked_s[0]:.3f} s",
+        )
+
+    def _outside_information(self) -> FloatArray:
+        rotation_rad = np.radians(self._config.graph.outside_rotation_sigma_deg)
+        translation_m = self._config.graph.outside_translation_sigma_m
+        return np.diag([rotation_rad**-2.0] * 3 + [translation_m**-2.0] * 3)
+
+    def _check_pose(self, timestamp_s: float, T_odom_cam: FloatArray) -> None:
+        if self._rides and not timestamp_s > self._rides[-1].timestamp_s:
+            raise SlamError(
+                f"keyframes must come in the order of time: {timestamp_s:.6f} s after"
+                f" {self._rides[-1].timestamp_s:.6f} s"
+            )
+        R = T_odom_cam[:3, :3]
+        is_rigid = T_odom_cam.shape == (4, 4) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
+        if not (is_rigid and np.isfinite(T_odom_cam).all() and np.linalg.det(R) > 0):
+            raise SlamError(
+                f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
+            )
