@@ -99,8 +99,9 @@ class LoopConfig(Section):
 class GraphConfig(Section):
     """The robust pose graph."""
 
-    inlier_probability: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.99
-    """Loops whose error is less likely than 1 minus this under their own noise are outvoted."""
+    inlier_probability: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.95
+    """Share of the true loops to keep if their noise is what they claim; a loop with a larger error
+    is outvoted. More keeps more true loops, and more false ones that fit by chance."""
     outside_rotation_sigma_deg: PositiveFloat = 1.0
     """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
     outside_translation_sigma_m: PositiveFloat = 0.02

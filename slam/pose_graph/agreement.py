@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to doubt about the loops a robust solve kept."""
+"""What to doubt about the loops that a robust solve kept."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,50 +9,74 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.batch import factor_errors
+from slam.pose_graph.robust import HOLDS, RobustSolution
 
-_LOOK = "look at the loop ledger before trusting the result"
+# A loop is contested where one estimator believes it and to the other its error is more than this
+# many times the limit, twice the residual: those near the limit bend the map little either way.
+_CLEARLY_OUT = 4.0
+_ADVICE = "look at them in the loop ledger before trusting the result"
 
 
 def disagreements(
     graph: gtsam.NonlinearFactorGraph,
     initial: gtsam.Values,
     loops: Sequence[int],
-    kept: NDArray[np.bool_],
+    solution: RobustSolution,
 ) -> tuple[str, ...]:
-    """Return one sentence for each thing to doubt: all loops rejected, estimators that differ.
+    """Return a sentence where all loops were rejected or a second estimator sees them otherwise.
 
     Args:
         graph: factors; all but the loops are believed.
         initial: one pose per key, from odometry.
-        loops: positions of the L doubtful factors in the graph.
-        kept: (L,) bool, loops that the robust solve believes.
+        loops: positions of the doubtful factors in the graph.
+        solution: what the robust solve made of them.
     """
+    kept = solution.weights[loops] > HOLDS
+    if not len(kept):
+        return ()
     if not kept.any():
         return (
-            f"all {len(loops)} loops contradict the odometry or each other and were ignored; "
-            f"{_LOOK}",
+            f"all {len(kept)} loops contradict the odometry or each other and were left out, so "
+            f"the trajectory is the odometry's; {_ADVICE}",
         )
-    differ = int(np.sum(kept != _second_opinion(graph, initial, loops)))
-    if not differ:
+    contested = contested_loops(graph, initial, loops, solution)
+    if not contested.any():
         return ()
     return (
-        f"two robust estimators differ on {differ} of {len(loops)} loops "
-        f"({int(kept.sum())} were kept); {_LOOK}",
+        f"two robust estimators disagree on {contested.sum()} of {len(kept)} loops "
+        f"({kept.sum()} were kept, {(contested & kept).sum()} of them contested); {_ADVICE}",
     )
 
 
-def _second_opinion(
-    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, loops: Sequence[int]
+def contested_loops(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    loops: Sequence[int],
+    solution: RobustSolution,
 ) -> NDArray[np.bool_]:
-    """Return the (L,) bool loops that a Cauchy kernel trusts by more than half."""
-    kernel = gtsam.noiseModel.mEstimator.Cauchy(1.0)
-    robust = gtsam.NonlinearFactorGraph()
-    doubtful = set(loops)
-    for i in range(graph.size()):
+    """Return the (L,) bool loops that the solution and a Cauchy kernel see clearly differently.
+
+    The arguments are those of `disagreements`.
+    """
+    limits = solution.limits[loops]
+    first = solution.errors[loops] / limits
+    kernel_width = float(np.sqrt(2.0 * limits.min()))
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy(kernel_width)
+    second = factor_errors(graph, _reweighted(graph, initial, loops, cauchy))[loops] / limits
+    kept = solution.weights[loops] > HOLDS
+    return np.where(kept, second > _CLEARLY_OUT, (second < 1.0) & (first > _CLEARLY_OUT))
+
+
+def _reweighted(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    loops: Sequence[int],
+    kernel: gtsam.noiseModel.mEstimator.Base,
+) -> gtsam.Values:
+    """Return the poses that iteratively reweighted least squares finds."""
+    softened = graph.clone()
+    for i in loops:
         factor: Any = graph.at(i)
-        if i in doubtful:
-            noise = gtsam.noiseModel.Robust.Create(kernel, factor.noiseModel())
-            factor = factor.cloneWithNewNoiseModel(noise)
-        robust.add(factor)
-    values = gtsam.LevenbergMarquardtOptimizer(robust, initial).optimize()
-    return factor_errors(graph, values)[list(loops)] < 0.5 * 16.8
+        noise = gtsam.noiseModel.Robust.Create(kernel, factor.noiseModel())
+        softened.replace(i, factor.cloneWithNewNoiseModel(noise))
+    return gtsam.LevenbergMarquardtOptimizer(softened, initial).optimize()

@@ -1,29 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose graphs as g2o files: written in 3-D, read in 2-D and 3-D."""
+"""Pose graphs as g2o files: written in 3-D, read in 2-D and 3-D.
 
-import math
-import os
-import tempfile
+GTSAM's own reader stops without a word at the first comment of a 2-D file, and writes 6 digits.
+"""
+
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam import se3
+from slam.output_file import write_atomically
+from slam.pose_graph.batch import pose_at
 from slam.types import FloatArray, Link, SlamError
 
-# How many numbers follow each tag. An edge carries two ids, a motion and the upper triangle of
-# its information matrix.
+# How many keyframe numbers and how many other numbers follow each tag: a pose, or a motion and the
+# upper triangle of its information matrix.
 _FIELDS = {
-    "VERTEX_SE2": 1 + 3,
-    "EDGE_SE2": 2 + 3 + 6,
-    "VERTEX_SE3:QUAT": 1 + 7,
-    "EDGE_SE3:QUAT": 2 + 7 + 21,
+    "VERTEX_SE2": (1, 3),
+    "EDGE_SE2": (2, 3 + 6),
+    "VERTEX_SE3:QUAT": (1, 7),
+    "EDGE_SE3:QUAT": (2, 7 + 21),
 }
 _IGNORED = {"FIX"}
-_UPPER = np.triu_indices(6)
-# g2o's tangents have the translation first, ours the rotation.
+# g2o's tangents have the translation first, ours the rotation; in 2-D both begin with it.
 _G2O_ORDER = [3, 4, 5, 0, 1, 2]
 
 
@@ -40,7 +42,7 @@ def write_g2o(path: Path, T_world_kf: FloatArray, motions: Iterable[Link]) -> No
     """
     lines = [f"VERTEX_SE3:QUAT {i} {_pose_text(T)}" for i, T in enumerate(T_world_kf)]
     lines += [_edge_text(each) for each in motions]
-    _replace(path, "\n".join(lines) + "\n")
+    write_atomically(path, "\n".join(lines) + "\n")
 
 
 def read_g2o(path: Path) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -52,37 +54,96 @@ def read_g2o(path: Path) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         SlamError: the file is missing, or a line of it is not what g2o allows.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise SlamError(f"cannot read the g2o file: {error}: {path}") from error
-    tags = {_checked_tag(line, f"line {n} of {path}") for n, line in enumerate(text.split("\n"), 1)}
-    is_3d = "EDGE_SE3:QUAT" in tags
-    if is_3d == ("EDGE_SE2" in tags):
-        raise SlamError(f"a g2o file needs EDGE_SE2 or EDGE_SE3:QUAT lines, one of the two: {path}")
-    graph, values = gtsam.readG2o(str(path), is_3d)
-    return graph, values
+        reason = getattr(error, "strerror", None) or "it is not text"
+        raise SlamError(f"cannot read the g2o file: {reason}: {path}") from error
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    dimensions = set()
+    for number, line in enumerate(lines, 1):
+        tag, *fields = line.split() or ["#"]
+        if tag.startswith("#") or tag in _IGNORED:
+            continue
+        place = f"line {number} of {path}"
+        ids, numbers = _checked(tag, fields, place)
+        dimensions.add("SE2" in tag)
+        if len(ids) == 2:
+            graph.add(_between(ids, numbers, place))
+        elif values.exists(ids[0]):
+            raise SlamError(f"vertex {ids[0]} is there twice: {place}")
+        else:
+            values.insert(ids[0], _pose(numbers))
+    if not graph.size() or len(dimensions) > 1:
+        raise SlamError(f"a g2o file needs EDGE_SE2 or EDGE_SE3:QUAT, only one of the two: {path}")
+    return graph, _chained(graph, values, path)
 
 
-def _checked_tag(line: str, place: str) -> str:
-    """Return the tag of a line that is in order, empty for a blank line or a comment."""
-    tag, *fields = line.split() or ["#"]
-    if tag.startswith("#") or tag in _IGNORED:
-        return ""
+def _checked(tag: str, fields: list[str], place: str) -> tuple[list[int], FloatArray]:
+    """Return the keyframe numbers and the other numbers of a line."""
     if tag not in _FIELDS:
         raise SlamError(f"{tag} is not a tag of a pose graph ({', '.join(_FIELDS)}): {place}")
-    if len(fields) != _FIELDS[tag]:
-        raise SlamError(f"{tag} has {len(fields)} numbers, {_FIELDS[tag]} are needed: {place}")
-    for field in fields:
-        if not _is_finite(field):
-            raise SlamError(f"{field} is not a finite number: {place}")
-    return tag
-
-
-def _is_finite(field: str) -> bool:
+    id_count, number_count = _FIELDS[tag]
+    needed = id_count + number_count
+    if len(fields) != needed:
+        raise SlamError(f"{tag} has {len(fields)} numbers, {needed} are needed: {place}")
+    for field in fields[:id_count]:
+        if not (field.isascii() and field.isdecimal()):
+            raise SlamError(f"{field} is not a keyframe number: {place}")
     try:
-        return math.isfinite(float(field))
-    except ValueError:
-        return False
+        numbers = np.array([float(field) for field in fields[id_count:]])
+    except ValueError as error:
+        raise SlamError(f"{tag} holds something that is not a number: {place}") from error
+    if not np.isfinite(numbers).all():
+        raise SlamError(f"{tag} holds a number that is not finite: {place}")
+    return [int(field) for field in fields[:id_count]], numbers
+
+
+def _pose(numbers: FloatArray) -> Any:
+    """Return the Pose2 of x, y, angle or the Pose3 of x, y, z and a quaternion x y z w."""
+    if len(numbers) == 3:
+        return gtsam.Pose2(*numbers)
+    rotation = se3.from_quaternion(numbers[3:])
+    return gtsam.Pose3(se3.from_rotation_translation(rotation, numbers[:3]))
+
+
+def _between(ids: list[int], numbers: FloatArray, place: str) -> Any:
+    factor: Any = gtsam.BetweenFactorPose2
+    size, width = 3, 3
+    if len(numbers) != 3 + 6:
+        factor = gtsam.BetweenFactorPose3
+        size, width = 6, 7
+    upper = np.zeros((size, size))
+    upper[np.triu_indices(size)] = numbers[width:]
+    information = upper + np.triu(upper, 1).T
+    if np.linalg.eigvalsh(information)[0] <= 0.0:
+        raise SlamError(f"the information matrix is not positive definite: {place}")
+    if size == 6:
+        information = information[np.ix_(_G2O_ORDER, _G2O_ORDER)]
+    noise = gtsam.noiseModel.Gaussian.Information(information)
+    return factor(*ids, _pose(numbers[:width]), noise)
+
+
+def _chained(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Path) -> gtsam.Values:
+    """Return the poses, those that are missing filled in along the edges."""
+    edges: list[Any] = [graph.at(i) for i in range(graph.size())]
+    if not values.size():
+        first = min(min(edge.keys()) for edge in edges)
+        values.insert(first, type(edges[0].measured())())
+    while edges:
+        waiting = []
+        for edge in edges:
+            ref, query = edge.keys()
+            if values.exists(ref) and not values.exists(query):
+                values.insert(query, pose_at(values, ref).compose(edge.measured()))
+            elif values.exists(query) and not values.exists(ref):
+                values.insert(ref, pose_at(values, query).compose(edge.measured().inverse()))
+            elif not values.exists(ref):
+                waiting.append(edge)
+        if len(waiting) == len(edges):
+            first, second = waiting[0].keys()
+            raise SlamError(f"no edge ties {first} and {second} to the other poses: {path}")
+        edges = waiting
+    return values
 
 
 def _pose_text(T: FloatArray) -> str:
@@ -92,22 +153,9 @@ def _pose_text(T: FloatArray) -> str:
 def _edge_text(link: Link) -> str:
     information = link.motion.information[np.ix_(_G2O_ORDER, _G2O_ORDER)]
     motion = _pose_text(link.motion.T_ref_query)
-    return f"EDGE_SE3:QUAT {link.ref_id} {link.query_id} {motion} {_numbers(information[_UPPER])}"
+    upper = _numbers(information[np.triu_indices(6)])
+    return f"EDGE_SE3:QUAT {link.ref_id} {link.query_id} {motion} {upper}"
 
 
 def _numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
-
-
-def _replace(path: Path, text: str) -> None:
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise SlamError(f"cannot write the pose graph: {error.strerror}: {path}") from error

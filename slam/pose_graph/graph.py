@@ -9,14 +9,19 @@ import numpy as np
 from slam.config import GraphConfig
 from slam.pose_graph.agreement import disagreements
 from slam.pose_graph.batch import optimize
-from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, solve_robustly
+from slam.pose_graph.robust import (
+    HOLDS,
+    LINEAR,
+    SUPER_LINEAR,
+    RobustSolution,
+    solve_robustly,
+)
 from slam.types import FloatArray, Link, RelativePose, SlamError
 
 _ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
 # While running, loops wait until there are this many more of them than at the last robust solve:
 # the total cost then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
-_HOLDS = 0.5  # weights end near 0 or 1
 
 
 @dataclass(frozen=True)
@@ -107,7 +112,8 @@ class PoseGraph:
         self._check_tied()
         waiting = len(self._loops) - len(self._weights)
         if waiting > _LOOP_GROWTH * len(self._weights):
-            self._restart(self._solve((SUPER_LINEAR,)))
+            graph, loops = self._whole()
+            self._restart(self._weigh(graph, loops, (SUPER_LINEAR,)).values)
         elif self._new_values.size() or self._new_factors.size():
             self._isam.update(self._new_factors, self._new_values)
             self._clear_new()
@@ -120,10 +126,16 @@ class PoseGraph:
             SlamError: a keyframe is not tied to the first one by links.
         """
         self._check_tied()
-        values = self._solve((SUPER_LINEAR, LINEAR)) if self._loops else self._values
+        values = self._values
+        warnings: tuple[str, ...] = ()
+        if self._loops:
+            graph, loops = self._whole()
+            solution = self._weigh(graph, loops, (SUPER_LINEAR, LINEAR))
+            values = solution.values
+            warnings = disagreements(graph, self._chain, loops, solution)
         self._restart(optimize(self._trusted(), values))
         poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
-        return GraphSolution(poses, self.weights, self._warnings())
+        return GraphSolution(poses, self.weights, warnings)
 
     @property
     def weights(self) -> dict[int, float]:
@@ -134,13 +146,17 @@ class PoseGraph:
         """Return the (4, 4) float64 pose of a keyframe as of the last `update`, metres."""
         return np.asarray(self._values.atPose3(keyframe_id).matrix(), dtype=np.float64)
 
-    def _solve(self, schedules: tuple[gtsam.GncScheduler, ...]) -> gtsam.Values:
-        """Weigh all loops against each other and return the poses that follow."""
-        graph, loops = self._whole()
+    def _weigh(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        loops: list[int],
+        schedules: tuple[gtsam.GncScheduler, ...],
+    ) -> RobustSolution:
+        """Weigh all loops against each other, starting from the links alone."""
         probability = self._config.inlier_probability
         solution = solve_robustly(graph, self._chain, loops, probability, schedules)
         self._weights = dict(zip(self._loops, solution.weights[loops].tolist(), strict=True))
-        return solution.values
+        return solution
 
     def _whole(self) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
         """Return the graph of all links and loops, and where the loops are in it."""
@@ -153,16 +169,9 @@ class PoseGraph:
         """Return the graph of all links and those loops that hold."""
         graph = self._links.clone()
         for key, weight in self._weights.items():
-            if weight > _HOLDS:
+            if weight > HOLDS:
                 graph.add(self._loops[key])
         return graph
-
-    def _warnings(self) -> tuple[str, ...]:
-        if not self._loops:
-            return ()
-        graph, loops = self._whole()
-        weights = np.array(list(self._weights.values()))
-        return disagreements(graph, self._chain, loops, weights > _HOLDS)
 
     def _believe(self, factor: gtsam.NonlinearFactor) -> None:
         self._links.add(factor)
@@ -172,6 +181,8 @@ class PoseGraph:
         """Let the incremental solver go on from these poses with the loops that hold now."""
         params = gtsam.ISAM2Params()
         params.setFactorization("QR")  # the default, Cholesky, fails on ill-conditioned graphs
+        params.relinearizeSkip = 1
+        params.setRelinearizeThreshold(0.01)
         self._isam = gtsam.ISAM2(params)
         self._values = values
         self._clear_new()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which loops of a pose graph, 2-D or 3-D, to believe: graduated non-convexity and a second look.
+"""Which loops of a pose graph, 2-D or 3-D, to believe: graduated non-convexity (GNC).
 
 Yang, Antonante, Tzoumas, Carlone: Graduated Non-Convexity for Robust Spatial Perception (2020),
 with truncated least squares: a loop costs its half chi-square, but never more than a fixed limit.
@@ -16,6 +16,7 @@ from slam.types import FloatArray
 
 SUPER_LINEAR = gtsam.GncScheduler.SuperLinear
 LINEAR = gtsam.GncScheduler.Linear
+HOLDS = 0.5  # a loop with more weight than this is kept; in the end weights are near 0 or 1
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,15 @@ class RobustSolution:
     Attributes:
         values: one pose per key.
         weights: (N,) float64, 0 (ignored) to 1, in the order of the graph's factors.
-        cost: truncated half chi-square, lower is better.
+        errors: (N,) float64, half chi-square of every factor at the poses.
+        limits: (N,) float64, the half chi-square from which a loop counts as false.
+        cost: what was minimised: the sum of the errors, those of loops cut at their limit.
     """
 
     values: gtsam.Values
     weights: FloatArray
+    errors: FloatArray
+    limits: FloatArray
     cost: float
 
 
@@ -80,4 +85,4 @@ def _graduate(
     limits = np.asarray(optimizer.getInlierCostThresholds())
     is_loop = np.isin(np.arange(graph.size()), list(loops))
     cost = float(np.where(is_loop, np.minimum(errors, limits), errors).sum())
-    return RobustSolution(values, weights, cost)
+    return RobustSolution(values, weights, errors, limits, cost)
