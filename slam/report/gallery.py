@@ -9,13 +9,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision
-from slam.types import Camera
+from slam.types import Camera, FloatArray
 
 MAX_PICTURES = 60
 WIDTH_PX = 480
 DRAWN_AT = 2
 """Lines are drawn at this multiple of the final size and then averaged, for smooth edges."""
 
+MAX_LINES = 50
 INLIER, OUTLIER = (64, 230, 150), (235, 70, 60)
 
 
@@ -78,9 +79,16 @@ def _draw_matches(canvas: Image.Image, loop: Decision, camera: Camera) -> None:
     scale = np.array([half / camera.width, canvas.height / camera.height] * 2)
     ends = check.pixels * scale + np.array([0.0, 0.0, half, 0.0])
     pen = ImageDraw.Draw(canvas, "RGBA")
-    for line in ends[~check.inlier_mask].tolist():
-        pen.line(line, fill=(*OUTLIER, 90), width=1)
-    for u_ref, v_ref, u_query, v_query in ends[check.inlier_mask].tolist():
-        pen.line((u_ref, v_ref, u_query, v_query), fill=(*INLIER, 190), width=3)
-        for u, v in ((u_ref, v_ref), (u_query, v_query)):
-            pen.ellipse((u - 4, v - 4, u + 4, v + 4), fill=(*INLIER, 230))
+    inliers, outliers = ends[check.inlier_mask], ends[~check.inlier_mask]
+    for line in thinned(outliers).tolist():
+        pen.line(line, fill=(*OUTLIER, 110), width=1)
+    for line in thinned(inliers).tolist():
+        pen.line(line, fill=(*INLIER, 190), width=2)
+    for u, v in inliers.reshape(-1, 2).tolist():
+        pen.ellipse((u - 3, v - 3, u + 3, v + 3), fill=(*INLIER, 230))
+
+
+def thinned(lines: FloatArray) -> FloatArray:
+    """Return at most MAX_LINES of the (M, 4) lines, evenly chosen: more would hide the views."""
+    step = -(-len(lines) // MAX_LINES) or 1
+    return lines[::step]

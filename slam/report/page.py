@@ -96,6 +96,7 @@ def render(
         loops=loops[:MAX_ROWS],
         attempted=len(loops),
         accepted=sum(loop.rejection is None for loop in loops),
+        false=sum(loop.kind == FALSE for loop in loops),
         paths=paths,
         stages=stages(result.stage_seconds, frames),
         settings=settings_toml,

@@ -35,7 +35,7 @@ def similarity_matrix(result: SlamResult, loops: list[Decision]) -> Markup:
         _overlay(axes, loops)
 
     alt = "Heat map of the similarity of all pairs of keyframes, with accepted and rejected loops"
-    return draw("similarity", alt, paint, height_in=4.7)
+    return draw("similarity", alt, paint, height_in=5.6)
 
 
 def distance_matrix(paths: Paths, loops: list[Decision]) -> Markup:
@@ -51,7 +51,7 @@ def distance_matrix(paths: Paths, loops: list[Decision]) -> Markup:
 
     source = "ground truth" if paths.has_keyframe_truth else "the corrected trajectory"
     alt = f"Heat map of the distance between all pairs of keyframes by {source}"
-    return draw("distance", alt, paint, height_in=4.7)
+    return draw("distance", alt, paint, height_in=5.6)
 
 
 def _step(size: int) -> int:
@@ -71,7 +71,10 @@ def _heat_map(
     axes.grid(visible=False)
     axes.set_xlabel("earlier keyframe")
     axes.set_ylabel("later keyframe")
-    axes.figure.colorbar(image, ax=axes, label=label, shrink=0.8)
+    bar = axes.figure.colorbar(
+        image, ax=axes, label=label, location="bottom", shrink=0.7, aspect=35
+    )
+    bar.ax.locator_params(nbins=5)
 
 
 def _overlay(axes: Axes, loops: list[Decision]) -> None:
@@ -112,6 +115,7 @@ def similarity_histogram(loops: list[Decision], min_similarity: float) -> Markup
         threshold = f"threshold {min_similarity:.3f}"
         axes.axvline(min_similarity, color=INK, lw=1.2, ls="--", label=threshold)
         axes.set_xlabel("similarity")
+        axes.locator_params(axis="x", nbins=5)
         axes.set_ylabel("candidates")
 
     return draw("histogram", "Histogram of similarity of accepted and rejected candidates", paint)
