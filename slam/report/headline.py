@@ -24,7 +24,7 @@ def length(metres: float) -> str:
 
 def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision]) -> list[str]:
     """Return what happened, one sentence per fact, the most important first."""
-    sentences = [_drift(result, drift), _loops(drift, loops)]
+    sentences = [_drift(result, drift, _subject(loops)), _loops(drift, loops)]
     if drift is not None and min(drift.coverage, drift.after.matched_share) < 0.995:
         sentences.append(
             f"Ground truth covers {drift.coverage:.0%} of the sequence's time span; "
@@ -33,24 +33,30 @@ def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision
     return sentences
 
 
-def _drift(result: SlamResult, drift: DriftReport | None) -> str:
+def _subject(loops: list[Decision]) -> str:
+    """Return what is to be praised or blamed: the graph also ties neighbouring keyframes."""
+    is_closed = any(loop.rejection is None for loop in loops)
+    return "Loop closure" if is_closed else "The pose graph, without any loop,"
+
+
+def _drift(result: SlamResult, drift: DriftReport | None, subject: str) -> str:
     if drift is None:
         largest, mean = _movement(result)
         return (
-            f"Loop closure moved the camera path by up to {length(largest)} ({length(mean)} on "
+            f"{subject} moved the camera path by up to {length(largest)} ({length(mean)} on "
             "average). No ATE can be given: there is no ground truth to compare this run with."
         )
     before, after = drift.before.ate_rmse_m, drift.after.ate_rmse_m
     tracked = len(result.trajectory) + len(result.untracked_s)
     compared = f"(ATE RMSE, {len(drift.after.timestamps_s)} of {tracked} frames compared)"
     if not np.isfinite(before) or abs(after - before) <= NO_CHANGE * before:
-        return f"Loop closure left the drift at {length(after)} {compared}."
+        return f"{subject} left the drift at {length(after)} {compared}."
     if after < before:
         return (
-            f"Loop closure cut the drift from {length(before)} to {length(after)} "
+            f"{subject} cut the drift from {length(before)} to {length(after)} "
             f"{compared[:-1]}, {1 - after / before:.0%} less)."
         )
-    return f"Loop closure made the drift worse: {length(before)} became {length(after)} {compared}."
+    return f"{subject} made the drift worse: {length(before)} became {length(after)} {compared}."
 
 
 def _movement(result: SlamResult) -> tuple[float, float]:

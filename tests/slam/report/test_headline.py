@@ -50,6 +50,14 @@ def test_a_false_loop_is_not_hidden(run) -> None:
     assert "accepted, 1 of them false" in sentences(run, loops=tuple(loops))[1]
 
 
+def test_without_any_loop_none_is_praised(run, altered) -> None:
+    rejected = [i for i, one in enumerate(run.result.attempts) if not one.is_accepted]
+    result = altered(attempts=tuple(run.result.attempts[i] for i in rejected))
+    found = sentences(run, result, loops=tuple(run.drift.loops[i] for i in rejected))
+    assert found[0].startswith("The pose graph, without any loop, cut the drift")
+    assert found[1] == f"0 of {len(rejected)} candidates were accepted."
+
+
 def test_loops_that_truth_cannot_judge_are_named(run) -> None:
     loops = tuple(replace(one, is_false=None) for one in run.drift.loops)
     assert "(ground truth can judge 0)" in sentences(run, loops=loops)[1]
