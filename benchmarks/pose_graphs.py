@@ -23,7 +23,7 @@ import gtsam
 import numpy as np
 
 from slam.config import GraphConfig
-from slam.pose_graph.agreement import disagreements
+from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize, pose_at
 from slam.pose_graph.g2o import read_g2o
 from slam.pose_graph.robust import HOLDS, solve_robustly
@@ -114,12 +114,12 @@ def stress(problem: Problem, kind: str, share: float, seed: int) -> Stress:
     spoilt = add_false_loops(problem, kind, share, seed)
     start = time.perf_counter()
     solution = solve_robustly(spoilt.graph, spoilt.chain, spoilt.loops, INLIER_PROBABILITY)
-    warnings = disagreements(spoilt.graph, spoilt.chain, spoilt.loops, solution)
+    contested = contested_motions(spoilt.graph, spoilt.chain, spoilt.loops, solution)
     seconds = time.perf_counter() - start
     kept = solution.weights[spoilt.loops] > HOLDS
     count = len(problem.loops)
     true_kept, false_kept = int(kept[:count].sum()), int(kept[count:].sum())
-    return Stress(true_kept, count, false_kept, len(kept) - count, warnings, seconds)
+    return Stress(true_kept, count, false_kept, len(kept) - count, doubts(kept, contested), seconds)
 
 
 def _anywhere(rng: np.random.Generator, corner: FloatArray, extent: FloatArray) -> Any:

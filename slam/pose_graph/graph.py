@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from slam.config import GraphConfig
-from slam.pose_graph.agreement import disagreements
+from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize
 from slam.pose_graph.robust import (
     HOLDS,
@@ -40,7 +40,11 @@ class GraphSolution:
 
 
 class PoseGraph:
-    """Keyframe poses tied by links, which are believed, and loops, which have to prove themselves.
+    """Keyframe poses tied by motions: odometry is believed, all others have to agree with it.
+
+    The link that ties a keyframe to those before it is its odometry. Further links (co-visibility)
+    and loops are left out where they contradict the rest: the errors of measured motions have
+    heavier tails than their information matrices say.
 
     The first keyframe stays where its guess puts it: the identity makes it the world.
     """
@@ -48,10 +52,12 @@ class PoseGraph:
     def __init__(self, config: GraphConfig) -> None:
         self._config = config
         self._ids: list[int] = []
-        self._links = gtsam.NonlinearFactorGraph()
+        self._odometry = gtsam.NonlinearFactorGraph()
+        self._side_links: list[gtsam.BetweenFactorPose3] = []
+        self._side_weights: list[float] = []
         self._loops: dict[int, gtsam.BetweenFactorPose3] = {}
         self._weights: dict[int, float] = {}
-        self._chain = gtsam.Values()  # poses by links alone, where every robust solve starts
+        self._chain = gtsam.Values()  # poses by odometry alone, where every robust solve starts
         self._values = gtsam.Values()  # the best poses so far
         self._restart(self._values)
 
@@ -66,32 +72,38 @@ class PoseGraph:
         guess = gtsam.Pose3(T_world_kf_guess)
         if not self._ids:
             self._chain.insert(keyframe_id, guess)
-            self._believe(gtsam.PriorFactorPose3(keyframe_id, guess, _ANCHOR_NOISE))
+            anchor = gtsam.PriorFactorPose3(keyframe_id, guess, _ANCHOR_NOISE)
+            self._odometry.add(anchor)
+            self._new_factors.add(anchor)
         self._ids.append(keyframe_id)
         self._values.insert(keyframe_id, guess)
         self._new_values.insert(keyframe_id, guess)
 
     def add_link(self, link: Link) -> None:
-        """Add a motion that is believed: odometry or co-visibility, in the order of time.
+        """Add a motion that is no loop, in the order of time: odometry first, then co-visibility.
 
         Raises:
             ValueError: a keyframe of it is not in the graph, or neither is tied to the first one.
         """
         factor = self._factor(link.ref_id, link.query_id, link.motion)
-        ref, query = self._chain.exists(link.ref_id), self._chain.exists(link.query_id)
-        if not (ref or query):
+        motion = factor.measured()
+        has_ref, has_query = self._chain.exists(link.ref_id), self._chain.exists(link.query_id)
+        if has_ref and has_query:
+            self._side_links.append(factor)
+            self._side_weights.append(1.0)  # until it is weighed
+        elif has_ref:
+            self._odometry.add(factor)
+            self._chain.insert(link.query_id, self._chain.atPose3(link.ref_id).compose(motion))
+        elif has_query:
+            self._odometry.add(factor)
+            T_world_query = self._chain.atPose3(link.query_id)
+            self._chain.insert(link.ref_id, T_world_query.compose(motion.inverse()))
+        else:
             raise ValueError(
                 f"link {link.ref_id} - {link.query_id} hangs in the air: "
                 "add the links that tie one of the two to the first keyframe before it"
             )
-        motion = factor.measured()
-        if not query:
-            T_world_ref = self._chain.atPose3(link.ref_id)
-            self._chain.insert(link.query_id, T_world_ref.compose(motion))
-        elif not ref:
-            T_world_query = self._chain.atPose3(link.query_id)
-            self._chain.insert(link.ref_id, T_world_query.compose(motion.inverse()))
-        self._believe(factor)
+        self._new_factors.add(factor)
 
     def add_loop(self, key: int, ref_id: int, query_id: int, motion: RelativePose) -> None:
         """Add a loop under a key that its weight is asked for by; it may wait for later loops.
@@ -112,8 +124,7 @@ class PoseGraph:
         self._check_tied()
         waiting = len(self._loops) - len(self._weights)
         if waiting > _LOOP_GROWTH * len(self._weights):
-            graph, loops = self._whole()
-            self._restart(self._weigh(graph, loops, (SUPER_LINEAR,)).values)
+            self._restart(self._weigh(*self._whole(), (SUPER_LINEAR,)).values)
         elif self._new_values.size() or self._new_factors.size():
             self._isam.update(self._new_factors, self._new_values)
             self._clear_new()
@@ -128,11 +139,13 @@ class PoseGraph:
         self._check_tied()
         values = self._values
         warnings: tuple[str, ...] = ()
-        if self._loops:
-            graph, loops = self._whole()
-            solution = self._weigh(graph, loops, (SUPER_LINEAR, LINEAR))
+        if self._loops or self._side_links:
+            graph, doubted = self._whole()
+            solution = self._weigh(graph, doubted, (SUPER_LINEAR, LINEAR))
             values = solution.values
-            warnings = disagreements(graph, self._chain, loops, solution)
+            contested = contested_motions(graph, self._chain, doubted, solution)
+            weights = np.array(list(self._weights.values()))
+            warnings = doubts(weights > HOLDS, contested[len(self._side_links) :])
         self._restart(optimize(self._trusted(), values))
         poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
         return GraphSolution(poses, self.weights, warnings)
@@ -146,36 +159,38 @@ class PoseGraph:
         """Return the (4, 4) float64 pose of a keyframe as of the last `update`, metres."""
         return np.asarray(self._values.atPose3(keyframe_id).matrix(), dtype=np.float64)
 
+    def _whole(self) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
+        """Return the graph of all motions, and where in it those are that may be wrong."""
+        graph = self._odometry.clone()
+        for factor in (*self._side_links, *self._loops.values()):
+            graph.add(factor)
+        return graph, list(range(self._odometry.size(), graph.size()))
+
     def _weigh(
         self,
         graph: gtsam.NonlinearFactorGraph,
-        loops: list[int],
+        doubted: list[int],
         schedules: tuple[gtsam.GncScheduler, ...],
     ) -> RobustSolution:
-        """Weigh all loops against each other, starting from the links alone."""
+        """Weigh all motions but the odometry against each other, starting from the odometry."""
         probability = self._config.inlier_probability
-        solution = solve_robustly(graph, self._chain, loops, probability, schedules)
-        self._weights = dict(zip(self._loops, solution.weights[loops].tolist(), strict=True))
+        solution = solve_robustly(graph, self._chain, doubted, probability, schedules)
+        weights = solution.weights[doubted].tolist()
+        count = len(self._side_links)
+        self._side_weights = weights[:count]
+        self._weights = dict(zip(self._loops, weights[count:], strict=True))
         return solution
 
-    def _whole(self) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
-        """Return the graph of all links and loops, and where the loops are in it."""
-        graph = self._links.clone()
-        for loop in self._loops.values():
-            graph.add(loop)
-        return graph, list(range(self._links.size(), graph.size()))
-
     def _trusted(self) -> gtsam.NonlinearFactorGraph:
-        """Return the graph of all links and those loops that hold."""
-        graph = self._links.clone()
+        """Return the graph of the odometry and of those other motions that hold."""
+        graph = self._odometry.clone()
+        for factor, weight in zip(self._side_links, self._side_weights, strict=True):
+            if weight > HOLDS:
+                graph.add(factor)
         for key, weight in self._weights.items():
             if weight > HOLDS:
                 graph.add(self._loops[key])
         return graph
-
-    def _believe(self, factor: gtsam.NonlinearFactor) -> None:
-        self._links.add(factor)
-        self._new_factors.add(factor)
 
     def _restart(self, values: gtsam.Values) -> None:
         """Let the incremental solver go on from these poses with the loops that hold now."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which loops of a pose graph, 2-D or 3-D, to believe: graduated non-convexity (GNC).
+"""Which motions of a pose graph, 2-D or 3-D, to believe: graduated non-convexity (GNC).
 
 Yang, Antonante, Tzoumas, Carlone: Graduated Non-Convexity for Robust Spatial Perception (2020),
-with truncated least squares: a loop costs its half chi-square, but never more than a fixed limit.
+with truncated least squares: a doubted factor costs its half chi-square, but never more than a limit.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from slam.types import FloatArray
 
 SUPER_LINEAR = gtsam.GncScheduler.SuperLinear
 LINEAR = gtsam.GncScheduler.Linear
-HOLDS = 0.5  # a loop with more weight than this is kept; in the end weights are near 0 or 1
+HOLDS = 0.5  # a factor with more weight than this is kept; in the end weights are near 0 or 1
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class RobustSolution:
         values: one pose per key.
         weights: (N,) float64, 0 (ignored) to 1, in the order of the graph's factors.
         errors: (N,) float64, half chi-square of every factor at the poses.
-        limits: (N,) float64, the half chi-square from which a loop counts as false.
-        cost: what was minimised: the sum of the errors, those of loops cut at their limit.
+        limits: (N,) float64, the half chi-square from which a doubted factor counts as false.
+        cost: what was minimised: the sum of the errors, the doubted ones cut at their limit.
     """
 
     values: gtsam.Values
@@ -41,38 +41,38 @@ class RobustSolution:
 def solve_robustly(
     graph: gtsam.NonlinearFactorGraph,
     initial: gtsam.Values,
-    loops: Sequence[int],
+    doubted: Sequence[int],
     inlier_probability: float,
     schedules: Sequence[gtsam.GncScheduler] = (SUPER_LINEAR, LINEAR),
 ) -> RobustSolution:
-    """Return the poses that satisfy most loops, and which loops those are.
+    """Return the poses that satisfy most of the doubted motions, and which of them those are.
 
     No schedule wins everywhere: the linear one loses all loops of a long path that closes rarely,
     the super-linear one hurries past the answer in small dense maps. The truncated cost, which
     both minimise, tells which of them got further.
 
     Args:
-        graph: factors; all but the loops are believed.
+        graph: factors; all but the doubted ones are believed.
         initial: one pose per key, from odometry.
-        loops: positions of the doubtful factors in the graph.
-        inlier_probability: loops whose chi-square exceeds this quantile count as false.
+        doubted: positions in the graph of the factors that may be wrong.
+        inlier_probability: doubted factors whose chi-square exceeds this quantile count as false.
         schedules: how fast to move from the convex problem to the true one.
     """
-    runs = [_graduate(graph, initial, loops, inlier_probability, each) for each in schedules]
+    runs = [_graduate(graph, initial, doubted, inlier_probability, each) for each in schedules]
     return min(runs, key=lambda run: run.cost)
 
 
 def _graduate(
     graph: gtsam.NonlinearFactorGraph,
     initial: gtsam.Values,
-    loops: Sequence[int],
+    doubted: Sequence[int],
     inlier_probability: float,
     schedule: gtsam.GncScheduler,
 ) -> RobustSolution:
-    # Start from the odometry alone: a first least-squares fit to all loops, false ones included,
+    # Start from what is believed: a first least-squares fit to everything, false loops included,
     # would bend the map beyond recognition.
     weights = np.ones(graph.size())
-    weights[list(loops)] = 0.0
+    weights[list(doubted)] = 0.0
     params = gtsam.GncLMParams()
     params.setScheduler(schedule)
     params.setKnownInliers(np.flatnonzero(weights).tolist())
@@ -83,6 +83,6 @@ def _graduate(
     weights = np.asarray(optimizer.getWeights(), dtype=np.float64)
     errors = factor_errors(graph, values)
     limits = np.asarray(optimizer.getInlierCostThresholds())
-    is_loop = np.isin(np.arange(graph.size()), list(loops))
-    cost = float(np.where(is_loop, np.minimum(errors, limits), errors).sum())
+    is_doubted = np.isin(np.arange(graph.size()), list(doubted))
+    cost = float(np.where(is_doubted, np.minimum(errors, limits), errors).sum())
     return RobustSolution(values, weights, errors, limits, cost)

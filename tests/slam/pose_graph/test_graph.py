@@ -141,6 +141,15 @@ def test_a_good_guess_is_not_needed(walk: Walk) -> None:
     assert walk.rmse_m(graph.finish().T_world_kf) < 0.5 * walk.rmse_m(walk.dead_reckoning())
 
 
+def test_a_wrong_co_visibility_link_is_left_out_too(walk: Walk) -> None:
+    graph = walk.graph()
+    for i in range(0, len(walk.T_world_cam) - 2, 2):
+        is_wrong = i % 10 == 0
+        graph.add_link(Link(i, i + 2, walk.false_loop() if is_wrong else walk.loop(i, i + 2)))
+    close(graph, walk)
+    assert walk.rmse_m(graph.finish().T_world_kf) < 0.5 * walk.rmse_m(walk.dead_reckoning())
+
+
 def test_the_first_keyframe_stays_where_it_was_put(walk: Walk) -> None:
     T_world_first = se3.exp(np.array([0.1, -0.2, 0.3, 1.0, 2.0, 3.0]))
     graph = PoseGraph(GraphConfig())

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.pose_graph.agreement import contested_loops, disagreements
+from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import factor_errors, optimize, pose_at
 from slam.pose_graph.robust import HOLDS, LINEAR, SUPER_LINEAR, solve_robustly
 
@@ -62,7 +62,8 @@ def test_the_cheaper_schedule_wins() -> None:
 def test_nothing_is_doubted_where_the_estimators_agree() -> None:
     graph, chain, loops = planar_laps(TRUE + FALSE)
     solution = solve_robustly(graph, chain, loops, 0.99)
-    assert disagreements(graph, chain, loops, solution) == ()
+    contested = contested_motions(graph, chain, loops, solution)
+    assert doubts(solution.weights[loops] > HOLDS, contested) == ()
 
 
 def test_a_wrong_answer_is_contested() -> None:
@@ -76,10 +77,10 @@ def test_a_wrong_answer_is_contested() -> None:
     weights = np.zeros(graph.size())
     weights[loops[-1]] = 1.0
     wrong = type(spoilt)(values, weights, factor_errors(graph, values), spoilt.limits, 0.0)
-    contested = contested_loops(graph, chain, loops, wrong)
+    contested = contested_motions(graph, chain, loops, wrong)
     assert contested[-1]
     assert contested[: len(TRUE)].any()
-    (sentence,) = disagreements(graph, chain, loops, wrong)
+    (sentence,) = doubts(weights[loops] > HOLDS, contested)
     assert f"{contested.sum()} of {len(loops)} loops (1 were kept, 1 of them contested)" in sentence
 
 
