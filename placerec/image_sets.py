@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Multi-constraint image sets: what a network still confuses, made ready to learn from.
+
+The names and line numbers are those of the paper's Algorithm 1. Images are named by their index.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.recognizer import RecognizerError
+
+GAMMA = 0.1
+GAMMA_PRIME = 0.4
+POSITIVES = 4
+NEGATIVES = 4
+BLOCK = 256
+
+Indices = NDArray[np.int64]
+Features = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ImageSets:
+    """S sets of images.
+
+    Attributes:
+        positives: (S, A) int64, images of one place; some twice where the place has fewer.
+        negatives: (S, B) int64, images of B other places.
+    """
+
+    positives: Indices
+    negatives: Indices
+
+    def __len__(self) -> int:
+        return len(self.positives)
+
+
+@dataclass(frozen=True)
+class SetRules:
+    """When an image is worth learning from, and how many make a set.
+
+    Attributes:
+        gamma: a positive is used when its squared distance to the centre is above (eq. 8).
+        gamma_prime: a negative is used when its squared distance to the centre is below (eq. 9).
+        positives: A, images of the same place in a set.
+        negatives: B, images of other places in a set.
+    """
+
+    gamma: float = GAMMA
+    gamma_prime: float = GAMMA_PRIME
+    positives: int = POSITIVES
+    negatives: int = NEGATIVES
+
+
+def build_image_sets(
+    features: Features,
+    places: Indices,
+    rng: np.random.Generator,
+    rules: SetRules | None = None,
+    anchors: Indices | None = None,
+) -> ImageSets:
+    """Return the sets that the present features call for, in the order of the anchors.
+
+    Algorithm 1, grouped by place: all images of a place share one centre and one row of distances.
+
+    Args:
+        features: (n, D) float32, unit length.
+        places: (n,) int64, a label per image.
+        rng: what all draws come from.
+        rules: margins and sizes; default: the paper's.
+        anchors: (M,) int64, the images i that line 2 goes through; default: all n.
+
+    Raises:
+        RecognizerError: a feature is not finite, or there are too few places for a set.
+    """
+    rules = rules or SetRules()
+    _check(features, places, rules)
+    anchors = np.arange(len(places)) if anchors is None else anchors
+    found: dict[int, tuple[Indices, Indices]] = {}
+    for own, distances, members in _by_place(features, places, anchors):
+        spread = own[distances[own] > rules.gamma]
+        others = places != places[own[0]]
+        confused = np.flatnonzero((distances < rules.gamma_prime) & others)
+        for i in members:
+            negatives = _draw_places(confused, places, rules.negatives, rng)  # lines 7, 9-11
+            positives = rng.permutation(spread[spread != anchors[i]])[: rules.positives]  # 6, 15-17
+            if len(negatives) == 0 and len(positives) == 0:
+                continue  # neither line 12 nor line 18 holds: there is nothing to learn here
+            found[int(i)] = (
+                _fill_positives(positives, own, rules.positives, rng),
+                _fill_negatives(negatives, np.flatnonzero(others), places, rules.negatives, rng),
+            )
+    chosen = [found[i] for i in sorted(found)]
+    return ImageSets(
+        np.array([p for p, _ in chosen], np.int64).reshape(-1, rules.positives),
+        np.array([n for _, n in chosen], np.int64).reshape(-1, rules.negatives),
+    )
+
+
+def sample_images(places: Indices, per_place: int, rng: np.random.Generator) -> Indices:
+    """Return the sorted indices of at most so many images of each place, drawn at random.
+
+    With it the cost of a round of training is that of the places, however many images they have.
+    """
+    shuffled = rng.permutation(len(places))
+    by_place = shuffled[np.argsort(places[shuffled], kind="stable")]
+    _, first, counts = np.unique(places[by_place], return_index=True, return_counts=True)
+    rank = np.arange(len(places)) - np.repeat(first, counts)
+    return np.sort(by_place[rank < per_place])
+
+
+def _check(features: Features, places: Indices, rules: SetRules) -> None:
+    if len(features) != len(places):
+        raise RecognizerError(f"{len(features)} features for {len(places)} place labels")
+    count = len(np.unique(places))
+    if count <= rules.negatives:
+        raise RecognizerError(
+            f"the images show {count} places, and {rules.negatives + 1} are needed: a set is one "
+            f"place and {rules.negatives} others; give more places or ask for fewer negatives"
+        )
+    bad = np.count_nonzero(~np.isfinite(features).all(axis=1))
+    if bad:
+        raise RecognizerError(f"the features of {bad} of {len(features)} images are NaN or inf")
+
+
+def _by_place(
+    features: Features, places: Indices, anchors: Indices
+) -> Iterator[tuple[Indices, NDArray[np.float32], Indices]]:
+    """Yield for each place of an anchor what its images share.
+
+    Yields:
+        the place's images; (n,) squared distances of all images to its centre; which anchors
+        are of the place.
+    """
+    labels, of_anchor = np.unique(places[anchors], return_inverse=True)
+    order = np.argsort(places, kind="stable")
+    bounds = np.searchsorted(places[order], labels), np.searchsorted(places[order], labels, "right")
+    own = [order[start:stop] for start, stop in zip(*bounds, strict=True)]
+    centres = np.array([features[images].mean(axis=0) for images in own])
+    members = np.split(np.argsort(of_anchor, kind="stable"), np.bincount(of_anchor).cumsum()[:-1])
+    lengths = np.einsum("id,id->i", features, features)
+    for start in range(0, len(centres), BLOCK):
+        block = centres[start : start + BLOCK]
+        products = block @ features.T
+        squares = np.einsum("pd,pd->p", block, block)[:, None] + lengths - 2.0 * products
+        for k, distances in enumerate(squares, start):
+            yield own[k], distances, members[k]
+
+
+def _draw_places(
+    candidates: Indices, places: Indices, count: int, rng: np.random.Generator
+) -> Indices:
+    """Return up to so many of the candidates, in random order, no two of one place."""
+    shuffled = rng.permutation(candidates)
+    _, first = np.unique(places[shuffled], return_index=True)
+    return shuffled[np.sort(first)[:count]]
+
+
+def _fill_negatives(
+    negatives: Indices, others: Indices, places: Indices, count: int, rng: np.random.Generator
+) -> Indices:
+    """Add images of yet other places until there are as many as asked for (lines 12-14)."""
+    if len(negatives) == count:
+        return negatives
+    unused = others[~np.isin(places[others], places[negatives])]
+    added = _draw_places(unused, places, count - len(negatives), rng)
+    return np.concatenate([negatives, added])
+
+
+def _fill_positives(
+    positives: Indices, own: Indices, count: int, rng: np.random.Generator
+) -> Indices:
+    """Add images of the same place, copies only where it has no more (lines 18-20)."""
+    unused = rng.permutation(np.setdiff1d(own, positives))[: count - len(positives)]
+    copies = rng.choice(own, count - len(positives) - len(unused))
+    return np.concatenate([positives, unused, copies])
