@@ -27,7 +27,7 @@ from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize, pose_at
 from slam.pose_graph.g2o import read_g2o
 from slam.pose_graph.robust import HOLDS, solve_robustly
-from slam.types import FloatArray
+from slam.types import FloatArray, SlamError
 
 # Half chi-square of the best optima known.
 REFERENCES = {
@@ -186,10 +186,15 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=0.5, help="false loops among all, 0 to 0.95")
     parser.add_argument("--seeds", type=int, default=5, help="runs per line of the second table")
     arguments = parser.parse_args()
-    print_optima(arguments.data, arguments.graphs)
-    print()
-    names = [name for name in arguments.graphs if name in STRESSED]
-    print_stress(arguments.data, names, arguments.share, arguments.seeds)
+    if not 0.0 <= arguments.share <= 0.95:
+        parser.error(f"--share {arguments.share}: allowed is 0 to 0.95")
+    try:
+        print_optima(arguments.data, arguments.graphs)
+        print()
+        names = [name for name in arguments.graphs if name in STRESSED]
+        print_stress(arguments.data, names, arguments.share, arguments.seeds)
+    except SlamError as error:
+        parser.exit(2, f"{error}\n")
 
 
 if __name__ == "__main__":

@@ -54,9 +54,9 @@ class PoseGraph:
         self._ids: list[int] = []
         self._odometry = gtsam.NonlinearFactorGraph()
         self._side_links: list[gtsam.BetweenFactorPose3] = []
-        self._side_weights: list[float] = []
+        self._side_weights: list[float] = []  # of the side links, in their order
         self._loops: dict[int, gtsam.BetweenFactorPose3] = {}
-        self._weights: dict[int, float] = {}
+        self._weights: dict[int, float] = {}  # of the loops weighed so far
         self._chain = gtsam.Values()  # poses by odometry alone, where every robust solve starts
         self._values = gtsam.Values()  # the best poses so far
         self._restart(self._values)
@@ -106,7 +106,7 @@ class PoseGraph:
         self._new_factors.add(factor)
 
     def add_loop(self, key: int, ref_id: int, query_id: int, motion: RelativePose) -> None:
-        """Add a loop under a key that its weight is asked for by; it may wait for later loops.
+        """Add a loop under a key that its weight is found by; it may wait for later loops.
 
         Raises:
             ValueError: the key is taken or a keyframe is not in the graph.
@@ -148,12 +148,7 @@ class PoseGraph:
             warnings = doubts(weights > HOLDS, contested[len(self._side_links) :])
         self._restart(optimize(self._trusted(), values))
         poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
-        return GraphSolution(poses, self.weights, warnings)
-
-    @property
-    def weights(self) -> dict[int, float]:
-        """Trust per loop key, 0 (ignored) to 1; loops that still wait are left out."""
-        return dict(self._weights)
+        return GraphSolution(poses, dict(self._weights), warnings)
 
     def T_world_kf(self, keyframe_id: int) -> FloatArray:
         """Return the (4, 4) float64 pose of a keyframe as of the last `update`, metres."""

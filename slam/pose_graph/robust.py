@@ -2,7 +2,7 @@
 """Which motions of a pose graph, 2-D or 3-D, to believe: graduated non-convexity (GNC).
 
 Yang, Antonante, Tzoumas, Carlone: Graduated Non-Convexity for Robust Spatial Perception (2020),
-with truncated least squares: a doubted factor costs its half chi-square, but never more than a limit.
+with truncated least squares: a doubted factor costs its half chi-square, up to a limit.
 """
 
 from collections.abc import Sequence
