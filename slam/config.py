@@ -62,6 +62,9 @@ class VerificationConfig(Section):
     """Share of the matches that must agree."""
     min_support: Fraction = 0.04
     """Share of the image that the inliers' bounding box must cover."""
+    max_uncertainty_m: PositiveFloat = 0.05
+    """Largest standard deviation of a loop's translation; fast turns and weak geometry add to
+    it."""
     max_descriptor_distance: Annotated[int, Field(ge=1, le=256)] = 64
     """Largest Hamming distance of two matching descriptors."""
     max_reprojection_px: PositiveFloat = 3.0
@@ -75,9 +78,9 @@ class OdometryConfig(Section):
 
     min_inliers: PositiveInt = 15
     """Matches that must agree with the motion, else the frame counts as not tracked."""
-    keyframe_translation_m: PositiveFloat = 0.12
+    keyframe_translation_m: PositiveFloat = 0.2
     """A camera this far from its keyframe starts a new one."""
-    keyframe_rotation_deg: PositiveFloat = 12.0
+    keyframe_rotation_deg: PositiveFloat = 15.0
     """A camera turned this much against its keyframe starts a new one."""
     keyframe_inlier_share: Fraction = 0.35
     """A new keyframe starts when fewer than this share of the keyframe's features is tracked."""

@@ -20,7 +20,7 @@ class FeatureExtractor:
         self._camera = camera
         self._config = config
         # More corners than wanted, so that the spreading below has something to choose from.
-        self._orb = cv2.ORB_create(
+        self._orb = cv2.ORB.create(
             nfeatures=2 * config.count,
             scaleFactor=config.scale_factor,
             nlevels=config.levels,

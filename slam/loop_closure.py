@@ -7,8 +7,19 @@ from numpy.typing import NDArray
 from placerec.index import PlaceIndex
 from placerec.recognizer import CheckedRecognizer, PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
-from slam.relative_pose import estimate_relative_pose
-from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason
+from slam.relative_pose import (
+    allow_for_turning,
+    estimate_relative_pose,
+    translation_sigma_m,
+)
+from slam.types import (
+    Camera,
+    Keyframe,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+)
 
 
 class LoopCloser:
@@ -38,9 +49,7 @@ class LoopCloser:
         """
         return self._recognizer.embed(rgb)
 
-    def close(
-        self, keyframe: Keyframe, embedding: NDArray[np.float32]
-    ) -> tuple[LoopAttempt, ...]:
+    def close(self, keyframe: Keyframe, embedding: NDArray[np.float32]) -> tuple[LoopAttempt, ...]:
         """Remember a keyframe and return what became of every earlier one that resembles it."""
         latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
         old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
@@ -70,4 +79,16 @@ class LoopCloser:
         verification = estimate_relative_pose(
             match.features, query.features, self._camera, self._verification_config
         )
-        return LoopAttempt(query.id, match.id, similarity, verification, verification.outcome)
+        outcome = self._judge(verification.outcome, match, query)
+        return LoopAttempt(query.id, match.id, similarity, verification, outcome)
+
+    def _judge(
+        self, outcome: RelativePose | Rejection, match: Keyframe, query: Keyframe
+    ) -> RelativePose | Rejection:
+        if isinstance(outcome, Rejection):
+            return outcome
+        motion = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
+        sigma_m, limit_m = translation_sigma_m(motion), self._verification_config.max_uncertainty_m
+        if sigma_m > limit_m:
+            return Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
+        return motion

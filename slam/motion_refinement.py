@@ -95,7 +95,7 @@ def refine(
     """
     for _ in range(_MAX_STEPS):
         hessian, gradient = _normal_equations(T_ref_query, correspondences, camera)
-        step = -np.linalg.solve(hessian, gradient)
+        step: FloatArray = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
         T_ref_query = T_ref_query @ se3.exp(step)
         if np.linalg.norm(step) < _SMALL_STEP:
             break

@@ -4,12 +4,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam import se3
-from slam.config import Config
+from slam.config import Config, VerificationConfig
 from slam.features import FeatureExtractor
 from slam.preview import preview
-from slam.relative_pose import estimate_relative_pose
+from slam.relative_pose import allow_for_turning, estimate_relative_pose
 from slam.types import (
     Camera,
     Features,
@@ -47,8 +48,9 @@ class RgbdOdometry:
     def __init__(self, camera: Camera, config: Config) -> None:
         self._camera = camera
         self._config = config.odometry
-        # A frame that follows its keyframe needs less evidence than a loop across the map.
-        self._motion_config = config.verification.model_copy(
+        self._link_config = config.verification
+        # A frame that follows its keyframe needs less evidence than a jump across the map.
+        self._tracking_config = config.verification.model_copy(
             update={
                 "min_matches": config.odometry.min_inliers,
                 "min_inliers": config.odometry.min_inliers,
@@ -58,7 +60,8 @@ class RgbdOdometry:
         )
         self._extractor = FeatureExtractor(camera, config.features)
         self._recent: list[Keyframe] = []
-        self._full_inliers = 0  # of the first frame tracked against the last keyframe
+        self._full_inliers = 0  # the most seen against the last keyframe
+        self._last_s, self._T_odom_last = 0.0, np.eye(4)
 
     def track(self, frame: Frame) -> TrackedFrame | Rejection:
         """Place a frame, or say why it cannot be placed; later frames are tried all the same."""
@@ -67,15 +70,15 @@ class RgbdOdometry:
             return self._start(frame, features)
         rejection: Rejection | None = None
         for keyframe in reversed(self._recent):
-            verification = self._motion(keyframe, features)
-            if isinstance(verification.outcome, RelativePose):
-                return self._place(frame, features, keyframe, verification, verification.outcome)
-            rejection = rejection or verification.outcome
+            found = self._estimate(keyframe, features, self._tracking_config)
+            if isinstance(found.outcome, RelativePose):
+                return self._place(frame, features, keyframe, found.outcome, found.inlier_mask)
+            rejection = rejection or found.outcome
         assert rejection is not None
         return rejection
 
     def _start(self, frame: Frame, features: Features) -> TrackedFrame | Rejection:
-        with_depth, needed = np.count_nonzero(features.depth_m > 0.0), self._config.min_inliers
+        with_depth, needed = int(np.count_nonzero(features.depth_m > 0.0)), self._config.min_inliers
         if with_depth < needed:
             return Rejection(RejectionReason.FEW_MATCHES, with_depth, needed)
         keyframe = Keyframe(0, frame.timestamp_s, np.eye(4), features, preview(frame))
@@ -87,20 +90,21 @@ class RgbdOdometry:
         frame: Frame,
         features: Features,
         reference: Keyframe,
-        verification: Verification,
         motion: RelativePose,
+        inlier_mask: NDArray[np.bool_],
     ) -> TrackedFrame:
-        inliers = int(np.count_nonzero(verification.inlier_mask))
+        T_odom_cam = reference.T_odom_cam @ motion.T_ref_query
+        turned_rad = float(se3.rotation_angle(se3.inverse(self._T_odom_last) @ T_odom_cam))
+        turning_rad_s = turned_rad / (frame.timestamp_s - self._last_s)
+        self._last_s, self._T_odom_last = frame.timestamp_s, T_odom_cam
+        inliers = int(np.count_nonzero(inlier_mask))
         self._full_inliers = max(self._full_inliers, inliers)
         if not self._needs_keyframe(motion.T_ref_query, inliers):
             return TrackedFrame(reference.id, motion.T_ref_query)
-        keyframe_id = self._recent[-1].id + 1
-        links = (
-            Link(reference.id, keyframe_id, motion),
-            *self._covisible(reference, keyframe_id, features),
-        )
+        new_id = self._recent[-1].id + 1
+        links = self._links(reference, motion, features, new_id, turning_rad_s)
         keyframe = Keyframe(
-            keyframe_id, frame.timestamp_s, self._fuse(links), features, preview(frame)
+            new_id, frame.timestamp_s, self._fuse(links), features, preview(frame), turning_rad_s
         )
         self._remember(keyframe)
         return TrackedFrame(reference.id, motion.T_ref_query, keyframe, links)
@@ -112,16 +116,25 @@ class RgbdOdometry:
             or inliers < self._config.keyframe_inlier_share * self._full_inliers
         )
 
-    def _covisible(self, reference: Keyframe, new_id: int, features: Features) -> list[Link]:
-        """Tie the new keyframe to the recent ones that see the same."""
-        links = []
+    def _links(
+        self,
+        reference: Keyframe,
+        motion: RelativePose,
+        features: Features,
+        new_id: int,
+        turning_rad_s: float,
+    ) -> tuple[Link, ...]:
+        """Tie a new keyframe to its reference and to the other recent ones that see the same."""
+        motions = {reference.id: (reference, motion)}
         for earlier in reversed(self._recent):
-            if earlier.id == reference.id:
-                continue
-            outcome = self._motion(earlier, features).outcome
-            if isinstance(outcome, RelativePose):
-                links.append(Link(earlier.id, new_id, outcome))
-        return links
+            if earlier.id != reference.id:
+                outcome = self._estimate(earlier, features, self._link_config).outcome
+                if isinstance(outcome, RelativePose):
+                    motions[earlier.id] = earlier, outcome
+        return tuple(
+            Link(earlier.id, new_id, allow_for_turning(seen, earlier.turning_rad_s, turning_rad_s))
+            for earlier, seen in motions.values()
+        )
 
     def _fuse(self, links: tuple[Link, ...]) -> FloatArray:
         """Return the new keyframe's T_odom_cam: the mean of what its links say, by information."""
@@ -129,16 +142,17 @@ class RgbdOdometry:
         T_odom_cam = T_odom_kf[links[0].ref_id] @ links[0].motion.T_ref_query
         hessian, gradient = np.zeros((6, 6)), np.zeros(6)
         for link in links:
-            said = T_odom_kf[link.ref_id] @ link.motion.T_ref_query
+            T_odom_said = T_odom_kf[link.ref_id] @ link.motion.T_ref_query
             hessian += link.motion.information
-            gradient += link.motion.information @ se3.log(se3.inverse(T_odom_cam) @ said)
+            gradient += link.motion.information @ se3.log(se3.inverse(T_odom_cam) @ T_odom_said)
         return T_odom_cam @ se3.exp(np.linalg.solve(hessian, gradient))
 
-    def _motion(self, reference: Keyframe, features: Features) -> Verification:
-        return estimate_relative_pose(
-            reference.features, features, self._camera, self._motion_config
-        )
+    def _estimate(
+        self, reference: Keyframe, features: Features, config: VerificationConfig
+    ) -> Verification:
+        return estimate_relative_pose(reference.features, features, self._camera, config)
 
     def _remember(self, keyframe: Keyframe) -> None:
         self._recent = [*self._recent, keyframe][-1 - self._config.links :]
         self._full_inliers = 0
+        self._last_s, self._T_odom_last = keyframe.timestamp_s, keyframe.T_odom_cam

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One estimator of the rigid motion between two views, for odometry and for loops alike."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,11 +22,14 @@ from slam.types import (
 )
 
 _MIN_FOR_POSE = 6
-# What repeated views of one place disagree by however many features they share: rolling
-# shutter, colour and depth taken at different instants, depth distortion. Measured on fr1_xyz
-# (`python benchmarks/motion_noise.py`); without it the graph would trust large inlier sets blindly.
+# What repeated views of one place disagree by however many features they share: depth distortion,
+# colour and depth taken at different instants, and, growing with the speed of the turn, the rolling
+# shutter. Measured on fr1_xyz (`python benchmarks/motion_noise.py fr1_xyz`); without it the graph
+# would trust large sets of inliers blindly.
 _ROTATION_FLOOR_RAD = 0.005
 _TRANSLATION_FLOOR_M = 0.006
+_ROTATION_PER_TURNING_S = 0.025
+_TRANSLATION_PER_TURNING_M_S = 0.025
 
 
 def estimate_relative_pose(
@@ -69,7 +72,7 @@ def _estimate(
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
     found = _ransac(points_m, pixels, camera, config)
     if found is None or np.count_nonzero(found[1]) < _MIN_FOR_POSE:
-        inliers = 0 if found is None else np.count_nonzero(found[1])
+        inliers = 0 if found is None else int(np.count_nonzero(found[1]))
         return Rejection(RejectionReason.NO_POSE, inliers, _MIN_FOR_POSE)
     T_ref_query, inlier_mask = found
     correspondences = Correspondences.of(reference, query, pairs, camera)
@@ -78,7 +81,7 @@ def _estimate(
     lengths = residual_lengths(T_ref_query, correspondences, camera)
     inlier_mask = lengths < config.max_reprojection_px
     if np.count_nonzero(inlier_mask) < _MIN_FOR_POSE:
-        inliers = np.count_nonzero(inlier_mask)
+        inliers = int(np.count_nonzero(inlier_mask))
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
     T_ref_query, hessian = refine(T_ref_query, correspondences.select(inlier_mask), camera)
     return _Estimate(T_ref_query, hessian, inlier_mask)
@@ -103,7 +106,8 @@ def _ransac(
     inlier_mask = np.zeros(len(points_ref_m), dtype=bool)
     inlier_mask[inliers.ravel()] = True
     R_query_ref = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
-    return se3.inverse(se3.from_rotation_translation(R_query_ref, translation.ravel())), inlier_mask
+    t_query_ref = np.asarray(translation, dtype=np.float64).ravel()
+    return se3.inverse(se3.from_rotation_translation(R_query_ref, t_query_ref)), inlier_mask
 
 
 def _judge(
@@ -111,7 +115,7 @@ def _judge(
 ) -> RelativePose | Rejection:
     if isinstance(estimate, Rejection):
         return estimate
-    inliers = np.count_nonzero(estimate.inlier_mask)
+    inliers = int(np.count_nonzero(estimate.inlier_mask))
     if inliers < config.min_inliers:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
     ratio = inliers / len(pixels)
@@ -121,10 +125,24 @@ def _judge(
     support = float(extent[0] * extent[1]) / (camera.width * camera.height)
     if support < config.min_support:
         return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
-    return RelativePose(estimate.T_ref_query, _information(estimate.hessian))
+    information = _add_noise(estimate.hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M)
+    return RelativePose(estimate.T_ref_query, information)
 
 
-def _information(hessian: FloatArray) -> FloatArray:
-    floor = np.diag([_ROTATION_FLOOR_RAD**2] * 3 + [_TRANSLATION_FLOOR_M**2] * 3)
-    information = np.linalg.inv(np.linalg.inv(hessian) + floor)
-    return np.asarray(0.5 * (information + information.T))
+def allow_for_turning(motion: RelativePose, *turning_rad_s: float) -> RelativePose:
+    """Return the motion with less information, as much as the turning of its two cameras costs."""
+    turning = float(np.linalg.norm(turning_rad_s))
+    rotation_rad = _ROTATION_PER_TURNING_S * turning
+    translation_m = _TRANSLATION_PER_TURNING_M_S * turning
+    return replace(motion, information=_add_noise(motion.information, rotation_rad, translation_m))
+
+
+def translation_sigma_m(motion: RelativePose) -> float:
+    """Return the standard deviation of a motion's translation, metres, all directions together."""
+    return float(np.sqrt(np.trace(np.linalg.inv(motion.information)[3:, 3:])))
+
+
+def _add_noise(information: FloatArray, rotation_rad: float, translation_m: float) -> FloatArray:
+    noise = np.diag([rotation_rad**2] * 3 + [translation_m**2] * 3)
+    total = np.linalg.inv(np.linalg.inv(information) + noise)
+    return np.asarray(0.5 * (total + total.T))

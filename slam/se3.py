@@ -50,7 +50,7 @@ def exp(tangent: Array) -> Array:
     if angle < _SMALL_ANGLE_RAD:
         return from_rotation_translation(np.eye(3) + W, v + 0.5 * W @ v)
     a = np.sin(angle) / angle
-    b = (1.0 - np.cos(angle)) / angle**2
+    b = 2.0 * np.sin(0.5 * angle) ** 2 / angle**2  # (1 - cos) / angle^2 without cancellation
     c = (angle - np.sin(angle)) / angle**3
     rotation = np.eye(3) + a * W + b * W @ W
     return from_rotation_translation(rotation, (np.eye(3) + b * W + c * W @ W) @ v)
@@ -74,8 +74,8 @@ def _rotation_log(rotation: Array) -> Array:
     vector = np.array([x, y, z])
     length = float(np.linalg.norm(vector))
     if length < _SMALL_ANGLE_RAD:
-        return 2.0 * vector / w
-    return 2.0 * np.arctan2(length, w) / length * vector
+        return np.asarray(2.0 * vector / w, dtype=np.float64)
+    return np.asarray(2.0 * np.arctan2(length, w) / length * vector, dtype=np.float64)
 
 
 def rotation_angle(T_a_b: Array) -> Array:

@@ -63,6 +63,11 @@ class Slam:
         self._untracked_s: list[float] = []
         self.clock = StageClock()
 
+    @property
+    def has_keyframes(self) -> bool:
+        """Whether there is anything to finish."""
+        return bool(self._keyframes)
+
     def process(self, frame: Frame) -> TrackedFrame | Rejection:
         """Take the next frame of the camera and return where it was placed, or why it was not."""
         with self.clock.stage("track"):

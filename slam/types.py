@@ -86,6 +86,7 @@ class Keyframe:
         T_odom_cam: (4, 4) camera pose in the odometry's (drifting) frame.
         features: ORB features.
         preview: the frame at half resolution, for the report and the fused point cloud.
+        turning_rad_s: how fast the camera turned; a rolling shutter bends such an image.
     """
 
     id: int
@@ -93,6 +94,7 @@ class Keyframe:
     T_odom_cam: FloatArray
     features: Features
     preview: Frame
+    turning_rad_s: float = 0.0
 
 
 class RejectionReason(StrEnum):
@@ -104,6 +106,7 @@ class RejectionReason(StrEnum):
     FEW_INLIERS = "too few inliers of one rigid motion"
     LOW_INLIER_RATIO = "too small a share of the matches agree"
     NARROW_SUPPORT = "inliers cover too small a part of the image"
+    UNCERTAIN_MOTION = "the motion is too uncertain: weak geometry or views taken in a fast turn"
     OUTVOTED = "contradicts the rest of the pose graph"
 
 

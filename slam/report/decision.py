@@ -38,6 +38,10 @@ def _weight(measured: float, needed: float) -> str:
     return f"needed weight {needed:.2f} in the pose graph, had {measured:.2f}"
 
 
+def _uncertainty(measured: float, needed: float) -> str:
+    return f"needed a motion known to {100 * needed:.1f} cm, had {100 * measured:.1f} cm"
+
+
 _MARGINS: dict[RejectionReason, Callable[[float, float], str]] = {
     RejectionReason.LOW_SIMILARITY: _similarity,
     RejectionReason.FEW_MATCHES: _count("matches with depth"),
@@ -45,6 +49,7 @@ _MARGINS: dict[RejectionReason, Callable[[float, float], str]] = {
     RejectionReason.FEW_INLIERS: _count("inliers"),
     RejectionReason.LOW_INLIER_RATIO: _share("of the matches as inliers"),
     RejectionReason.NARROW_SUPPORT: _share("of the image covered by inliers"),
+    RejectionReason.UNCERTAIN_MOTION: _uncertainty,
     RejectionReason.OUTVOTED: _weight,
 }
 
@@ -100,7 +105,7 @@ class Decision:
         """How far a rejected candidate was from the opposite decision, as a share of the need."""
         if not (rejection := self.rejection):
             return 0.0
-        gap = (rejection.needed - rejection.measured) / max(abs(rejection.needed), 1e-9)
+        gap = abs(rejection.needed - rejection.measured) / max(abs(rejection.needed), 1e-9)
         return gap if math.isfinite(gap) else math.inf
 
     @property

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of one run: what is written there, in which order."""
+
+import json
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from slam.config import Config, to_toml
+from slam.dense_map import write_map
+from slam.drift import DriftReport
+from slam.ledger import write_ledger
+from slam.output_file import write_atomically
+from slam.pose_graph import write_g2o
+from slam.report import write_report
+from slam.summary import summarise
+from slam.trajectory import write_tum
+from slam.types import Link, RelativePose, SlamError, SlamResult, Trajectory
+from slam.verdict import final_rejection
+
+
+def make_run_folder(folder: Path) -> None:
+    """Create the folder, or make sure that an existing one can be written to.
+
+    Raises:
+        SlamError: it cannot be created or written to.
+    """
+    probe = folder / f".{uuid.uuid4().hex}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise SlamError(
+            f"cannot write to the output folder (choose another with --out): {error.strerror}:"
+            f" {folder}"
+        ) from error
+
+
+def write_run(
+    folder: Path,
+    result: SlamResult,
+    drift: DriftReport | None,
+    truth: Trajectory | None,
+    config: Config,
+    title: str,
+) -> None:
+    """Write every output of a run; what cannot be computed again comes first.
+
+    Raises:
+        SlamError: a file cannot be written; those before it are complete.
+    """
+    settings = to_toml(config)
+    keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
+    write_tum(folder / "trajectory.txt", result.trajectory)
+    write_tum(folder / "odometry.txt", result.odometry)
+    write_tum(folder / "keyframes.txt", Trajectory(keyframe_s, result.T_world_kf))
+    if truth is not None:
+        write_tum(folder / "groundtruth.txt", truth)
+    write_ledger(folder / "loops.jsonl", result, drift)
+    write_g2o(folder / "pose_graph.g2o", result.T_world_kf, _motions(result))
+    write_atomically(folder / "settings.toml", settings)
+    summary = json.dumps(summarise(result, drift), indent=2)
+    write_atomically(folder / "summary.json", summary + "\n")
+    write_report(folder / "report.html", result, drift, settings, title, truth)
+    if config.map.write:
+        write_map(folder / "map.ply", result, config.map)
+
+
+def _motions(result: SlamResult) -> list[Link]:
+    loops = [
+        Link(attempt.match_id, attempt.query_id, attempt.outcome)
+        for attempt in result.attempts
+        if isinstance(attempt.outcome, RelativePose) and final_rejection(attempt) is None
+    ]
+    return [*result.links, *loops]

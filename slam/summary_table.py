@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The short table that a run ends with in the terminal."""
+
+from pathlib import Path
+
+from slam.drift import DriftReport
+from slam.summary import summarise
+from slam.types import SlamResult
+
+
+def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -> str:
+    """Return the run in a few lines: what was tracked, which loops were closed, the drift."""
+    summary = summarise(result, drift)
+    tracked = len(result.trajectory)
+    rows = [
+        ("frames", f"{tracked} of {tracked + len(result.untracked_s)} tracked"),
+        ("keyframes", f"{len(result.keyframes)}"),
+        ("loops", _loops(summary)),
+    ]
+    if drift is not None:
+        before, after = drift.before, drift.after
+        rows += [
+            ("ATE", f"{before.ate_rmse_m:.4f} m -> {after.ate_rmse_m:.4f} m corrected"),
+            ("", f"RMSE after SE(3) alignment, no scale; {after.matched_share:.1%} of frames"),
+            (
+                "",
+                f"matched within {drift.tolerance_s * 1e3:.0f} ms,"
+                f" truth covers {drift.coverage:.1%}",
+            ),
+            (
+                "RPE",
+                f"{before.rpe_translation_m:.4f} m -> {after.rpe_translation_m:.4f} m,"
+                f" {before.rpe_rotation_deg:.2f} deg -> {after.rpe_rotation_deg:.2f} deg"
+                f" over {drift.rpe_interval_s:g} s",
+            ),
+        ]
+    seconds = sum(result.stage_seconds.values())
+    rows.append(("speed", f"{(tracked + len(result.untracked_s)) / seconds:.1f} frames/s"))
+    rows += [("warning", warning) for warning in result.warnings]
+    rows.append(("report", str(folder / "report.html")))
+    return "\n".join(f"{name:<10} {text}" for name, text in rows)
+
+
+def _loops(summary: dict[str, object]) -> str:
+    text = f"{summary['loops_accepted']} accepted of {summary['loops_tried']} candidates"
+    if summary["loops_outvoted"]:
+        text += f", {summary['loops_outvoted']} outvoted by the graph"
+    if summary["loops_judged"]:
+        text += f"; {summary['loops_false']} of {summary['loops_judged']} checked are false"
+    return text
