@@ -145,7 +145,8 @@ class RgbdOdometry:
             T_odom_said = T_odom_kf[link.ref_id] @ link.motion.T_ref_query
             hessian += link.motion.information
             gradient += link.motion.information @ se3.log(se3.inverse(T_odom_cam) @ T_odom_said)
-        return T_odom_cam @ se3.exp(np.linalg.solve(hessian, gradient))
+        step = np.asarray(np.linalg.solve(hessian, gradient), dtype=np.float64)
+        return T_odom_cam @ se3.exp(step)
 
     def _estimate(
         self, reference: Keyframe, features: Features, config: VerificationConfig
