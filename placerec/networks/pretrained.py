@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Published weights of a trunk: read from a file, or downloaded and checked."""
+
+import hashlib
+import http.client
+import io
+import os
+import re
+import urllib.request
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from placerec.networks.place_network import PlaceNetwork
+from placerec.networks.trunk import Trunk
+from placerec.output_file import write_atomically
+from placerec.recognizer import RecognizerError
+
+TIMEOUT_S = 30.0
+
+
+def load_pretrained(network: PlaceNetwork, path: Path) -> None:
+    """Give a network's trunk the weights of a file.
+
+    The file is a torchvision state dict (.pth) or an archive of arrays (.npz); what it holds
+    beyond the trunk's layers, such as the original fully connected ones, is left out.
+
+    Raises:
+        RecognizerError: the file cannot be read, would run code, or is another network's.
+    """
+    weights = _read(path)
+    name = network.trunk.name
+    state = network.features.state_dict()
+    for parameter, value in state.items():
+        in_file = network.trunk.name_in_file(parameter)
+        found = weights.get(in_file)
+        if found is None:
+            raise RecognizerError(f"not weights of {name}: there is no {in_file}: {path}")
+        if found.shape != value.shape:
+            raise RecognizerError(
+                f"not weights of {name}: {in_file} is {tuple(found.shape)}, not "
+                f"{tuple(value.shape)}: {path}"
+            )
+        state[parameter] = found.to(value.dtype)
+    network.features.load_state_dict(state)
+
+
+def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | None = None) -> Path:
+    """Return the file of a trunk's published weights, downloaded once into a folder.
+
+    Its name ends in the first digits of its SHA-256, which what arrives must have.
+
+    Args:
+        trunk: a trunk whose publishers offer a download.
+        folder: default: `loopclose/weights` in the user's cache folder.
+        url: a mirror; default: the publisher's.
+
+    Raises:
+        RecognizerError: there is no download, it fails, or what arrives is not what was published.
+    """
+    url = url or trunk.url
+    digits = re.search(r"-([0-9a-f]{8,64})\.\w+$", url or "")
+    if url is None or digits is None:
+        raise RecognizerError(f"there is no checked download of weights for {trunk.name!r}")
+    path = (folder or _cache_folder()) / url.rsplit("/", 1)[1]
+    if path.is_file():
+        return path
+    content = _fetch(url)
+    digest = hashlib.sha256(content).hexdigest()
+    if not digest.startswith(digits[1]):
+        raise RecognizerError(
+            f"the download is damaged: its SHA-256 begins {digest[: len(digits[1])]}, "
+            f"not {digits[1]}; try again: {url}"
+        )
+    _make_folder(path.parent)
+    write_atomically(path, content)
+    return path
+
+
+def _read(path: Path) -> Mapping[str, Tensor]:
+    try:
+        content = io.BytesIO(path.read_bytes())
+    except OSError as error:
+        raise RecognizerError(f"cannot read the weights: {error.strerror}: {path}") from error
+    try:
+        if path.suffix == ".npz":
+            with np.load(content, allow_pickle=False) as archive:
+                return {name: torch.from_numpy(archive[name]) for name in archive.files}
+        loaded = torch.load(content, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch and numpy raise many kinds for a damaged file
+        raise RecognizerError(
+            f"the weights file is damaged, or a pickle that would run code: {path}"
+        ) from error
+    if not isinstance(loaded, Mapping) or not all(isinstance(v, Tensor) for v in loaded.values()):
+        raise RecognizerError(f"the weights file does not hold named tensors: {path}")
+    return loaded
+
+
+def _fetch(url: str) -> bytes:
+    request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
+    try:
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
+            content: bytes = response.read()
+    except (OSError, http.client.HTTPException) as error:
+        raise RecognizerError(f"the weights cannot be downloaded: {error}: {url}") from error
+    return content
+
+
+def _cache_folder() -> Path:
+    root = os.environ.get("XDG_CACHE_HOME", "")
+    cache = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
+    return cache / "loopclose" / "weights"
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error

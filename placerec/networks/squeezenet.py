@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SqueezeNet 1.0's convolutions (Iandola 2016), with the names of its Caffe weights."""
+
+from collections import OrderedDict
+
+import torch
+from torch import Tensor, nn
+
+from placerec.networks.preprocessing import Preprocessing
+from placerec.networks.trunk import Trunk, with_random_weights
+
+SQUEEZED = {2: 16, 3: 16, 4: 32, 5: 32, 6: 48, 7: 48, 8: 64, 9: 64}
+"""Channels after squeezing, per fire module; each of its two expansions has four times as many."""
+EXPANSION = 4
+POOLED = (4, 8)
+
+
+class Fire(nn.Module):
+    """Squeeze to few channels, then expand by two kinds of convolution side by side."""
+
+    def __init__(self, channels_in: int, squeezed: int) -> None:
+        super().__init__()
+        expanded = EXPANSION * squeezed
+        self.conv1x1_1 = nn.Conv2d(channels_in, squeezed, kernel_size=1)
+        self.conv1x1_2 = nn.Conv2d(squeezed, expanded, kernel_size=1)
+        self.conv3x3_2 = nn.Conv2d(squeezed, expanded, kernel_size=3, padding=1)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Return (N, 8 * squeezed, h, w) maps of (N, C, h, w) maps."""
+        squeezed = torch.relu(self.conv1x1_1(maps))
+        expanded = torch.cat([self.conv1x1_2(squeezed), self.conv3x3_2(squeezed)], dim=1)
+        return torch.relu(expanded)
+
+
+def _pool() -> nn.Module:
+    return nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
+
+
+def _layers() -> nn.Sequential:
+    layers: OrderedDict[str, nn.Module] = OrderedDict()
+    layers["conv1"] = nn.Conv2d(3, 96, kernel_size=7, stride=2)
+    layers["relu1"] = nn.ReLU()
+    layers["pool1"] = _pool()
+    channels = 96
+    for number, squeezed in SQUEEZED.items():
+        layers[f"fire{number}"] = Fire(channels, squeezed)
+        channels = 2 * EXPANSION * squeezed
+        if number in POOLED:
+            layers[f"pool{number}"] = _pool()
+    return with_random_weights(nn.Sequential(layers))
+
+
+def _blocks() -> dict[str, int]:
+    with torch.device("meta"):  # names only, no numbers
+        names = [name for name, _ in _layers().named_children()]
+    return {name: count for count, name in enumerate(names, 1) if name != "conv1"}
+
+
+def _name_in_file(parameter: str) -> str:
+    """Return `fire2/conv1x1_1.weight` for `fire2.conv1x1_1.weight`."""
+    layer, kind = parameter.rsplit(".", 1)
+    return f"{layer.replace('.', '/')}.{kind}"
+
+
+SQUEEZENET = Trunk(
+    name="squeezenet",
+    build=_layers,
+    preprocessing=Preprocessing(
+        width_px=227,
+        height_px=227,
+        mean=(104.0, 117.0, 123.0),
+        scale=(1.0, 1.0, 1.0),
+        is_bgr=True,
+    ),
+    blocks=_blocks(),
+    name_in_file=_name_in_file,
+)
