@@ -5,7 +5,7 @@ import numpy as np
 
 from slam.types import FloatArray
 
-LAP_S = 6.0
+LAP_S = 12.0
 _RADII_M = (0.8, 0.6)
 _HEIGHT_M = 1.3
 _AHEAD_RAD = 1.1  # the view is turned from straight outwards to the direction of travel
@@ -14,8 +14,8 @@ _AHEAD_RAD = 1.1  # the view is turned from straight outwards to the direction o
 def drive(times_s: FloatArray, seed: int) -> FloatArray:
     """Return (N, 4, 4) T_world_cam of a hand-held camera walking ellipses about the origin.
 
-    At 30 frames per second it moves some 3 cm and 2 degrees a frame. The second lap runs 8 cm
-    further out and 3 cm higher, and looks 6 degrees further ahead.
+    It walks some 0.4 m/s and turns some 30 degrees a second. The second lap runs 8 cm further out
+    and 3 cm higher, and looks 6 degrees further ahead.
     """
     laps = times_s / LAP_S
     around = 2.0 * np.pi * laps

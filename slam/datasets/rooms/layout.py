@@ -96,9 +96,7 @@ def gallery(
     panels += hang(rng, T, -half, half, 1.05, 1.75)
     panels += hang(rng, T, -half, half, 1.8, 2.4)
     board = turned(T, (rng.uniform(-0.4, 0.4), 0, 0.02))
-    panels += furniture.cupboard(board, (1.8, 0.72, 0.42), rng)
-    panels += furniture.chair(turned(T, (-half + 0.3, 0, 0.4), rng.uniform(-30, 30)), rng)
-    return panels
+    return panels + furniture.cupboard(board, (1.8, 0.72, 0.42), rng)
 
 
 def library(
@@ -142,18 +140,16 @@ def study(rng: np.random.Generator, T: FloatArray, length_m: float, height_m: fl
 def parlour(
     rng: np.random.Generator, T: FloatArray, length_m: float, height_m: float
 ) -> list[Panel]:
-    """Return a papered wall with a window, curtains, a table, and a picture on either side."""
+    """Return a papered wall with a window, curtains, a table between chairs, and pictures."""
     paper = partial(textures.wallpaper, colour=colour_of(rng, 150, 215, 0.2))
     half, middle = length_m / 2 - 0.15, rng.uniform(-0.3, 0.3)
     panels = wall(rng, T, length_m, height_m, paper)
     panels += furniture.picture(T, (middle, 1.6, 0), 1.5, 1.25, rng, pictures.window)
     for x in (middle - 0.95, middle + 0.95):
         panels += furniture.curtain(turned(T, (x, 0.15, 0.07)), 0.35, 2.2, rng)
+        panels += furniture.chair(turned(T, (x, 0, 0.42), rng.uniform(-40, 40)), rng)
     panels += furniture.table(turned(T, (middle, 0, 0.05)), (1.1, 0.7, 0.55), rng)
     panels += furniture.clutter(turned(T, (middle, 0, 0.05)), (1.1, 0.7, 0.5), rng, 4)
     for left, right in ((-half, middle - 1.2), (middle + 1.2, half)):
         panels += hang(rng, T, left, right, 1.1, 2.1)
-        panels += furniture.chair(
-            turned(T, ((left + right) / 2, 0, 0.4), rng.uniform(-40, 40)), rng
-        )
     return panels

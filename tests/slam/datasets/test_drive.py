@@ -4,8 +4,9 @@ import pytest
 
 from slam import se3
 from slam.datasets.drive import LAP_S, drive
+from slam.datasets.synthetic import FRAMES_PER_S
 
-FRAMES_PER_LAP = round(LAP_S * 30)
+FRAMES_PER_LAP = round(LAP_S * FRAMES_PER_S)
 
 
 def motions(T_world_cam, frames):
@@ -14,7 +15,7 @@ def motions(T_world_cam, frames):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_camera_that_can_be_tracked_and_comes_back(seed):
-    T_world_cam = drive(np.arange(2 * FRAMES_PER_LAP) / 30.0, seed)
+    T_world_cam = drive(np.arange(2 * FRAMES_PER_LAP) / FRAMES_PER_S, seed)
     step = motions(T_world_cam, 1)
     assert se3.translation_norm(step).max() < 0.035
     assert np.degrees(se3.rotation_angle(step)).max() < 3.0
@@ -25,7 +26,7 @@ def test_a_camera_that_can_be_tracked_and_comes_back(seed):
 
 
 def test_a_camera_held_upright_inside_the_room():
-    T_world_cam = drive(np.arange(2 * FRAMES_PER_LAP) / 30.0, 0)
+    T_world_cam = drive(np.arange(2 * FRAMES_PER_LAP) / FRAMES_PER_S, 0)
     R = T_world_cam[:, :3, :3]
     assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3))
     assert np.allclose(np.linalg.det(R), 1.0)
@@ -35,5 +36,9 @@ def test_a_camera_held_upright_inside_the_room():
 
 
 def test_a_longer_drive_begins_like_a_shorter_one():
-    assert np.array_equal(drive(np.arange(10) / 30.0, 1), drive(np.arange(90) / 30.0, 1)[:10])
-    assert not np.allclose(drive(np.arange(10) / 30.0, 1), drive(np.arange(10) / 30.0, 2))
+    assert np.array_equal(
+        drive(np.arange(10) / FRAMES_PER_S, 1), drive(np.arange(90) / FRAMES_PER_S, 1)[:10]
+    )
+    assert not np.allclose(
+        drive(np.arange(10) / FRAMES_PER_S, 1), drive(np.arange(10) / FRAMES_PER_S, 2)
+    )

@@ -15,7 +15,7 @@ SMALL = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
 
 
 def render_small(folder, seed=0, progress=None):
-    render_sequence(folder, seconds=0.1, seed=seed, progress=progress, camera=SMALL)
+    render_sequence(folder, seconds=0.2, seed=seed, progress=progress, camera=SMALL)
     return folder
 
 
@@ -38,7 +38,7 @@ def test_the_folder_is_a_tum_sequence_with_truth_and_camera(rendered):
     assert sequence.warnings == () and sequence.skipped == []
     frames = list(sequence)
     assert np.allclose(
-        [frame.timestamp_s for frame in frames], 100.0 + np.arange(3) / 30, atol=1e-6
+        [frame.timestamp_s for frame in frames], 100.0 + np.arange(3) / 15, atol=1e-6
     )
     assert np.array_equal(sequence.ground_truth.timestamps_s, sequence.timestamps_s)
     for frame in frames:
@@ -62,7 +62,7 @@ def test_the_same_seed_gives_the_same_bytes(rendered, tmp_path):
 
 def test_geometry_finds_the_true_motion(tmp_path):
     camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
-    render_sequence(tmp_path / "sequence", seconds=0.14, camera=camera)
+    render_sequence(tmp_path / "sequence", seconds=0.27, camera=camera)
     sequence = open_sequence(tmp_path / "sequence", InputConfig())
     extractor = FeatureExtractor(camera, FeaturesConfig())
     features = [extractor.extract(frame) for frame in sequence]
