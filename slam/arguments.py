@@ -26,13 +26,13 @@ Writes trajectories, the pose graph, the loop ledger, a point cloud and report.h
 class Arguments:
     """What run_slam was asked to do."""
 
-    sequence: Annotated[str, tyro.conf.Positional]
+    sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
     """Folder in the TUM RGB-D format, short name of a TUM benchmark sequence, or `demo`."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs; default: runs/SEQUENCE."""
-    recognizer: str = DEFAULT_RECOGNIZER
+    recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
     """Place recognizer: an installed name, or package.module:ClassName."""
-    config: Path | None = None
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
 

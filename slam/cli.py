@@ -76,6 +76,7 @@ def _open(arguments: Arguments, folder: Path) -> "Sequence":
     else:
         with closing(_Bar("fetching", unit="B", unit_scale=True)) as bar:
             path = resolve(arguments.sequence, bar)
+    print(f"reading {path}", file=sys.stderr)
     return open_sequence(path, arguments.settings.input)
 
 

@@ -28,8 +28,7 @@ class InputConfig(Section):
     """How a sequence is read."""
 
     camera: Path | None = None
-    """TOML file with width, height, fx, fy, cx, cy, distortion, depth_scale; default: the
-    freiburg camera that the folder's name says."""
+    """TOML file of the camera; default: camera.toml of the folder, else by the folder's name."""
     depth_scale: PositiveFloat | None = None
     """Depth image units per metre; overrides the camera's."""
     max_time_difference_s: PositiveFloat = 0.02
@@ -63,8 +62,7 @@ class VerificationConfig(Section):
     min_support: Fraction = 0.04
     """Share of the image that the inliers' bounding box must cover."""
     max_uncertainty_m: PositiveFloat = 0.05
-    """Largest standard deviation of a loop's translation; fast turns and weak geometry add to
-    it."""
+    """Largest standard deviation of a loop's translation; it grows with the speed of turns."""
     max_descriptor_distance: Annotated[int, Field(ge=1, le=256)] = 64
     """Largest Hamming distance of two matching descriptors."""
     max_reprojection_px: PositiveFloat = 3.0
