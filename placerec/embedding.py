@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A trained network as a place recognizer."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from placerec.networks import TRUNKS, Trunk
+from placerec.recognizer import RecognizerError
+from placerec.weights_file import load_weights
+
+DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "default.safetensors"
+FRAMES_PER_PASS = 32
+
+
+class LearnedRecognizer:
+    """A network trained with the multi-constraint loss; on the CPU, and safe to use by threads.
+
+    Attributes:
+        network: the trained network.
+        min_similarity: cosine from which a match is worth verifying, stored with the weights.
+    """
+
+    min_similarity: float
+
+    def __init__(
+        self, path: Path = DEFAULT_WEIGHTS, trunks: Iterable[Trunk] = tuple(TRUNKS.values())
+    ) -> None:
+        """Read the weights; the trunks are those they may be made with, one's own included.
+
+        Raises:
+            RecognizerError: the weights cannot be read, are damaged, or do not fit.
+        """
+        self.network, self.min_similarity = load_weights(path, trunks)
+
+    def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the (D,) float32 unit-length embedding of an image of any size.
+
+        Args:
+            image: uint8, (H, W, 3) RGB; grey (H, W) and (H, W, 4) with alpha are taken too.
+
+        Raises:
+            RecognizerError: it is no such image.
+        """
+        # On one thread: a second one saves a few milliseconds on an idle machine, costs ten times
+        # as many on a busy one, and changes the last bits with the number of cores.
+        with _one_thread(), torch.inference_mode():
+            embedding: NDArray[np.float32] = self.network(self.network.prepare([image]))[0].numpy()
+        return embedding
+
+    def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        """Return the (N, D) float32 embeddings of N images, several to a forward pass."""
+        passes = [images[i : i + FRAMES_PER_PASS] for i in range(0, len(images), FRAMES_PER_PASS)]
+        with torch.inference_mode():
+            rows = [self.network(self.network.prepare(frames)).numpy() for frames in passes]
+        empty = np.empty((0, self.network.dimension), np.float32)
+        embeddings: NDArray[np.float32] = np.concatenate([empty, *rows])
+        return embeddings
+
+    def embed_place(self, frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        """Return the (D,) float32 unit-length embedding of a place seen in consecutive frames.
+
+        It is the centre of the frames' embeddings (eq. 3), put back on the unit sphere.
+
+        Raises:
+            RecognizerError: there are no frames.
+        """
+        if len(frames) == 0:
+            raise RecognizerError("a place needs at least 1 frame to be described by, not 0")
+        centre = self.embed_many(frames).mean(axis=0)
+        embedding: NDArray[np.float32] = centre / np.linalg.norm(centre)
+        return embedding
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import torch
+
+from placerec.conformance import check
+from placerec.embedding import LearnedRecognizer
+from placerec.networks import TRUNKS, PlaceNetwork
+from placerec.networks.projection import start_from_principal_components
+from placerec.recognizer import RecognizerError
+from placerec.weights_file import save_weights
+
+
+def _image(seed, height=60, width=80):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def recognizer(tmp_path_factory):
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    network = PlaceNetwork(TRUNKS["mobilenet_v2"], 32, block="block3", size_px=(96, 72))
+    with torch.no_grad():
+        # Blocks of colour at several scales, so that the layer sees more than noise.
+        coarse = [np.kron(_image(i, 6, 8), np.ones((10, 10, 1), np.uint8)) for i in range(40)]
+        maps = network.features(network.prepare(coarse))
+        start_from_principal_components(network, network.flatten(maps))
+    save_weights(network, path, 0.4)
+    return LearnedRecognizer(path)
+
+
+def test_conforms(recognizer):
+    report = check(recognizer)
+    assert report.passed, report
+
+
+def test_threshold_comes_with_the_weights(recognizer):
+    assert recognizer.min_similarity == 0.4
+
+
+def test_images_of_any_kind(recognizer):
+    grey = _image(1)[..., 0]
+    expected = recognizer.embed(np.repeat(grey[..., None], 3, axis=2))
+    np.testing.assert_array_equal(recognizer.embed(grey), expected)
+    alpha = np.dstack([grey, grey, grey, np.zeros_like(grey)])
+    np.testing.assert_array_equal(recognizer.embed(alpha), expected)
+    for shape in ((1, 1), (7, 500), (481, 3)):
+        assert np.linalg.norm(recognizer.embed(_image(1, *shape))) == pytest.approx(1.0, abs=1e-5)
+    with pytest.raises(RecognizerError, match="uint8"):
+        recognizer.embed(np.zeros((4, 4, 3)))
+
+
+def test_frames_in_one_pass_are_as_frames_one_by_one(recognizer):
+    images = [_image(seed, 50 + seed) for seed in range(40)]  # more than go in one pass
+    one_by_one = np.array([recognizer.embed(image) for image in images])
+    np.testing.assert_allclose(recognizer.embed_many(images), one_by_one, atol=1e-5)
+    assert recognizer.embed_many([]).shape == (0, 32)
+
+
+def test_place_is_the_centre_of_its_frames(recognizer):
+    images = [_image(seed) for seed in range(3)]
+    centre = recognizer.embed_many(images).mean(axis=0)
+    place = recognizer.embed_place(images)
+    np.testing.assert_allclose(place, centre / np.linalg.norm(centre), atol=1e-6)
+    assert place.dtype == np.float32
+    np.testing.assert_allclose(
+        recognizer.embed_place(images[:1]), recognizer.embed(images[0]), atol=1e-5
+    )
+    with pytest.raises(RecognizerError, match="at least 1 frame"):
+        recognizer.embed_place([])
+
+
+def test_threads_get_the_same_answers_and_the_callers_settings_stay(recognizer):
+    threads = torch.get_num_threads()
+    images = [_image(seed) for seed in range(8)] * 4
+    expected = [recognizer.embed(image) for image in images]
+    assert torch.get_num_threads() == threads
+    with ThreadPoolExecutor(4) as pool:
+        for one, other in zip(pool.map(recognizer.embed, images), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_missing_weights_are_one_line(tmp_path):
+    with pytest.raises(RecognizerError, match="cannot read the weights"):
+        LearnedRecognizer(tmp_path / "none.safetensors")
