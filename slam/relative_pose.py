@@ -67,8 +67,9 @@ def _estimate(
     camera: Camera,
     config: VerificationConfig,
 ) -> _Estimate | Rejection:
-    if len(pairs) < config.min_matches:
-        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), config.min_matches)
+    needed = max(config.min_matches, _MIN_FOR_POSE)
+    if len(pairs) < needed:
+        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed)
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
     found = _ransac(points_m, pixels, camera, config)
     if found is None or np.count_nonzero(found[1]) < _MIN_FOR_POSE:

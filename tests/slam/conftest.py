@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What many tests need: one small rendered recording, and two views of made-up points."""
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from slam import se3
+from slam.config import InputConfig
+from slam.datasets import Sequence, open_sequence
+from slam.datasets.synthetic import render_sequence
+from slam.features import back_project
+from slam.types import Camera, Features, FloatArray, Frame
+
+SHARED_DATA = Path(__file__).parents[2] / "../shared/data"
+SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+FRAMES = 60
+FRAMES_PER_S = 7.5
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """Return the folder of the real recordings; whoever asks skips what is not in it."""
+    return Path(os.environ.get("LOOPCLOSE_DATA", SHARED_DATA))
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a TUM folder of 60 frames, 8 s: a third of the room there, and back again.
+
+    There it shows every other rendered image, back the rest: no image is seen twice.
+    """
+    folder = tmp_path_factory.mktemp("rendered") / "recording"
+    render_sequence(folder, seconds=FRAMES / 15.0, camera=SMALL_CAMERA)
+    order = [*range(0, FRAMES, 2), *range(FRAMES - 1, 0, -2)]
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        _, *lines = (folder / name).read_text().splitlines()
+        values = [lines[i].split(" ", 1)[1] for i in order]
+        stamped = [f"{100 + i / FRAMES_PER_S:.6f} {value}\n" for i, value in enumerate(values)]
+        (folder / name).write_text("".join(stamped))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def sequence(recording: Path) -> Sequence:
+    return open_sequence(recording, InputConfig())
+
+
+@pytest.fixture(scope="session")
+def frames(sequence: Sequence) -> list[Frame]:
+    return list(sequence)
+
+
+@pytest.fixture(scope="session")
+def T_first_cam(sequence: Sequence) -> FloatArray:
+    """Return (60, 4, 4), the true poses in the first camera's frame."""
+    assert sequence.ground_truth is not None
+    T_truth_cam = sequence.ground_truth.T_world_cam
+    return se3.inverse(T_truth_cam[0]) @ T_truth_cam
+
+
+@pytest.fixture
+def short_recording(recording: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Copy the first frames of the recording to a folder that a test may spoil."""
+
+    def copy(count: int = 12, name: str = "short") -> Path:
+        folder = tmp_path / name
+        for kind in ("rgb", "depth"):
+            (folder / kind).mkdir(parents=True)
+            lines = (recording / f"{kind}.txt").read_text().splitlines()[:count]
+            (folder / f"{kind}.txt").write_text("\n".join(lines) + "\n")
+            for line in lines:
+                shutil.copy(recording / line.split()[1], folder / kind)
+        for each in ("groundtruth.txt", "camera.toml"):
+            shutil.copy(recording / each, folder)
+        return folder
+
+    return copy
+
+
+class Views(NamedTuple):
+    """Two views of the same points, and the motion between them."""
+
+    reference: Features
+    query: Features
+    T_ref_query: FloatArray
+    camera: Camera
+
+
+@pytest.fixture(scope="session")
+def make_views() -> Callable[..., Views]:
+    """Return a maker of two views of random points with matching random descriptors."""
+    return two_views
+
+
+def two_views(
+    T_ref_query: FloatArray,
+    count: int = 150,
+    *,
+    outliers: int = 0,
+    noise: float = 0.0,
+    window_px: tuple[float, float] = (600.0, 440.0),
+    seed: int = 0,
+) -> Views:
+    """Place points in a window of the reference's image, 1 to 3 m away, and look at them twice.
+
+    Args:
+        T_ref_query: the true motion, small enough for the query to see the points.
+        count: points that agree with the motion.
+        outliers: points whose descriptors match but which the query sees anywhere.
+        noise: standard deviation, pixels, of all pixels; disparities get half of it.
+        window_px: width and height of the window in the middle of the reference's image.
+        seed: of everything random.
+    """
+    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    rng = np.random.default_rng(seed)
+    total = count + outliers
+    centre = np.array([camera.cx, camera.cy])
+    reference_px = centre + rng.uniform(-0.5, 0.5, (total, 2)) * window_px
+    reference_m = rng.uniform(1.0, 3.0, total)
+    points_m = se3.transform(
+        se3.inverse(T_ref_query), back_project(reference_px, reference_m, camera)
+    )
+    query_m = points_m[:, 2].copy()
+    query_px = camera.fx * points_m[:, :2] / points_m[:, 2:] + centre
+    query_px[count:] = rng.uniform((20.0, 20.0), (620.0, 460.0), (outliers, 2))
+    query_m[count:] = rng.uniform(1.0, 3.0, outliers)
+    descriptors = rng.integers(0, 256, (total, 32), dtype=np.uint8)
+    shuffled = rng.permutation(total)
+    return Views(
+        _features(reference_px, reference_m, descriptors, noise, rng, camera),
+        _features(query_px[shuffled], query_m[shuffled], descriptors[shuffled], noise, rng, camera),
+        T_ref_query,
+        camera,
+    )
+
+
+def _features(
+    pixels: FloatArray,
+    depth_m: FloatArray,
+    descriptors: np.ndarray,
+    noise: float,
+    rng: np.random.Generator,
+    camera: Camera,
+) -> Features:
+    baseline_fx = 0.075 * camera.fx
+    pixels = pixels + noise * rng.standard_normal(pixels.shape)
+    disparity_px = baseline_fx / depth_m + 0.5 * noise * rng.standard_normal(len(depth_m))
+    depth_m = baseline_fx / disparity_px
+    return Features(
+        pixels=pixels,
+        undistorted_px=pixels,
+        octaves=np.zeros(len(pixels), dtype=np.int64),
+        descriptors=descriptors,
+        depth_m=depth_m,
+        points_m=back_project(pixels, depth_m, camera),
+    )

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+import pytest
+
+from slam import stage_clock
+from slam.stage_clock import StageClock
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now_s = iter([0.0, 1.0, 10.0, 12.0, 20.0, 24.0, 30.0])
+    monkeypatch.setattr(stage_clock.time, "perf_counter", lambda: next(now_s))
+    return StageClock()
+
+
+def test_seconds_add_up_per_stage_in_the_order_of_the_pipeline(clock):
+    for name in ("track", "graph", "track"):
+        with clock.stage(name):
+            pass
+    assert list(clock.seconds.items()) == [("track", 5.0), ("graph", 2.0)]
+
+
+def test_a_stage_that_fails_has_taken_its_time_too(clock):
+    with pytest.raises(KeyboardInterrupt), clock.stage("track"):
+        raise KeyboardInterrupt
+    assert clock.seconds == {"track": 1.0}
