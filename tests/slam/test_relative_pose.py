@@ -104,11 +104,13 @@ def test_the_information_is_symmetric_positive_definite_and_never_boundless(make
 
 
 def test_the_tangent_is_rotation_first(make_views):
-    # The same pixels twenty times as far away: as sharp a rotation, but a vague translation.
+    # The same pixels 200 times as far away: as sharp a rotation, but a vague translation.
     views = make_views(np.eye(4), noise=0.3)
-    far = views._replace(reference=farther(views.reference, 20.0), query=farther(views.query, 20.0))
+    far = views._replace(
+        reference=farther(views.reference, 200.0), query=farther(views.query, 200.0)
+    )
     sigma = np.sqrt(np.diag(np.linalg.inv(estimate(far).outcome.information)))
-    assert sigma[:3].max() < 0.01 < 0.1 < sigma[3:].min()
+    assert 5.0 * sigma[:3].max() < sigma[3:].min()
 
 
 def farther(features, times):
