@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training is given to learn from."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class PlaceImages(Protocol):
+    """Images, each with the place that it shows."""
+
+    @property
+    def places(self) -> NDArray[np.int64]:
+        """(n,) int64, a label per image: the same place, the same label; another, another."""
+        ...
+
+    def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
+        """Return an image, (H, W, 3) uint8 RGB, of any size."""
+        ...

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings of a training; where the paper gives a value, it is the default."""
+
+from enum import StrEnum
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from placerec.augmentation import Augmentation
+from placerec.image_sets import GAMMA, GAMMA_PRIME, NEGATIVES, POSITIVES, SetRules
+from placerec.losses import ALPHA, BETA
+
+
+class Loss(StrEnum):
+    """What is minimised."""
+
+    SIMPLIFIED = "multi-constraint"
+    FULL = "multi-constraint-full"
+    TRIPLET = "triplet"
+
+
+class TrainingConfig(BaseModel):
+    """How a network is trained."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    loss: Loss = Loss.SIMPLIFIED
+    """The paper's loss by its farthest positive and nearest negative (eq. 7) or by all of them
+    (eq. 6), or the triplet loss (eq. 2) on the same sets, to compare with."""
+    alpha: float = Field(default=ALPHA, ge=0.0)
+    """Margin between positives and negatives."""
+    beta: float = Field(default=BETA, ge=0.0)
+    """Margin between the positives' spread and the distance of two negatives."""
+    gamma: float = Field(default=GAMMA, ge=0.0)
+    """Squared distance to the centre above which a positive is learned from."""
+    gamma_prime: float = Field(default=GAMMA_PRIME, ge=0.0)
+    """Squared distance to the centre below which a negative is learned from."""
+    positives: int = Field(default=POSITIVES, ge=1)
+    """Images of the same place in a set."""
+    negatives: int = Field(default=NEGATIVES, ge=2)
+    """Images of other places in a set."""
+    batch_sets: int = Field(default=5, ge=1)
+    """Sets per step, over all processes together."""
+    images_per_place: int | None = Field(default=8, ge=1)
+    """Images of each place that are looked at per round, drawn anew each time; none: all."""
+    learning_rate: float = Field(default=1e-4, gt=0.0)
+    """Of the fully connected layer."""
+    trunk_learning_rate: float = Field(default=1e-5, ge=0.0)
+    """Of the layers before it."""
+    frozen_block: str | None = None
+    """The trunk stays as it is up to the end of this block; none: all layers are trained."""
+    augmentation: Augmentation | None = None
+    """Changes made to the images of a step; none: what frozen layers see is worked out once."""
+    max_steps: int | None = Field(default=None, ge=1)
+    """The training ends after so many steps; the learning rates fall to zero along a cosine."""
+    max_seconds: float | None = Field(default=None, gt=0.0)
+    """The training ends after this time, resumed parts added up."""
+    checkpoint_interval_s: float = Field(default=180.0, ge=0.0)
+    """Time between two checkpoints."""
+    seed: int = Field(default=0, ge=0)
+    """What all draws come from."""
+
+    @property
+    def rules(self) -> SetRules:
+        """How image sets are built."""
+        return SetRules(self.gamma, self.gamma_prime, self.positives, self.negatives)

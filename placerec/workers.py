@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The processes that share one training: one per GPU under torchrun, else this one alone."""
+
+import os
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor, distributed
+
+
+class Workers:
+    """Splits work among the processes and adds up what they found, so that all hold the same.
+
+    Attributes:
+        rank: which process this is, from 0.
+        count: how many there are.
+        device: what this process computes on.
+    """
+
+    def __init__(self, device: torch.device | None = None) -> None:
+        """Join the processes that torchrun started, where it did; default device: a GPU."""
+        self.count = int(os.environ.get("WORLD_SIZE", "1"))
+        self.rank = int(os.environ.get("RANK", "0"))
+        self.device = device or _own_device()
+        if self.count > 1 and not distributed.is_initialized():
+            backend = "nccl" if self.device.type == "cuda" else "gloo"
+            distributed.init_process_group(backend)
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this process writes files."""
+        return self.rank == 0
+
+    def share(self, count: int) -> range:
+        """Return which of so many pieces of work are this process's."""
+        return range(self.rank, count, self.count)
+
+    def add_up(self, tensors: Iterable[Tensor]) -> None:
+        """Replace tensors, in place, by their sums over all processes."""
+        parts = list(tensors)
+        if self.count == 1 or not parts:
+            return
+        together = torch.cat([part.flatten() for part in parts])
+        distributed.all_reduce(together)
+        start = 0
+        for part in parts:
+            part.copy_(together[start : start + part.numel()].view_as(part))
+            start += part.numel()
+
+    def agree(self, is_time: bool) -> bool:
+        """Return the first process's answer, in all of them."""
+        if self.count == 1:
+            return is_time
+        answer = torch.tensor(float(is_time), device=self.device)
+        distributed.broadcast(answer, src=0)
+        return bool(answer.item())
+
+
+def _own_device() -> torch.device:
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+    torch.cuda.set_device(device)
+    return device
