@@ -23,7 +23,7 @@ class FeatureExtractor:
         self._orb = cv2.ORB.create(
             nfeatures=2 * config.count,
             scaleFactor=config.scale_factor,
-            nlevels=config.levels,
+            nlevels=min(config.levels, _most_levels(camera, config.scale_factor)),
             edgeThreshold=_BORDER_PX,
             fastThreshold=config.fast_threshold,
         )
@@ -47,6 +47,12 @@ class FeatureExtractor:
             depth_m=depth_m,
             points_m=back_project(undistorted_px, depth_m, self._camera),
         )
+
+
+def _most_levels(camera: Camera, scale_factor: float) -> int:
+    # On a smaller level no feature fits, and OpenCV fails where it has no pixel at all.
+    room = min(camera.width, camera.height) / (2 * _BORDER_PX + 1)
+    return 1 + int(np.log(max(room, 1.0)) / np.log(scale_factor))
 
 
 def match(a: Features, b: Features, max_distance: int) -> NDArray[np.int64]:
