@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two drives of one path, whose frames match with a tolerance: folders query and ref."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.datasets.images import images_in
+from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.tables import read_csv
+from placerec.recognizer import RecognizerError
+
+TOLERANCE_FRAMES = 2
+
+
+def read_frame_pairs(folder: Path, tolerance_frames: int = TOLERANCE_FRAMES) -> PlaceDataset:
+    """Read a folder with the images of two drives in query/ and ref/.
+
+    Which frames match is read from ground_truth.csv (query,refs with refs as in 0;1;2, both
+    counted from 0); without that file, frames match whose numbers differ by the tolerance or less.
+
+    Raises:
+        RecognizerError: a folder is missing, the table cannot be used or most images are broken.
+    """
+    queries, references = (_images(folder / drive) for drive in ("query", "ref"))
+    table = folder / "ground_truth.csv"
+    if table.is_file():
+        same_place = _read_matches(table, len(queries), len(references))
+    else:
+        steps = np.arange(len(queries))[:, None] - np.arange(len(references))
+        same_place = np.abs(steps) <= tolerance_frames
+    dataset = PlaceDataset(
+        name=folder.resolve().name,
+        paths=(*queries, *references),
+        queries=np.arange(len(queries)),
+        references=len(queries) + np.arange(len(references)),
+        same_place=same_place,
+        comparable=np.ones_like(same_place),
+    )
+    return keep_readable(dataset)
+
+
+def _images(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        raise RecognizerError(f"there is no folder {folder.name}: {folder}")
+    return images_in(folder)
+
+
+def _read_matches(table: Path, queries: int, references: int) -> NDArray[np.bool_]:
+    same_place = np.zeros((queries, references), dtype=np.bool_)
+    for line, (query, matches) in read_csv(table, ("query", "refs")):
+        numbers = [query, *filter(None, matches.split(";"))]
+        if not all(number.strip().isdecimal() for number in numbers):
+            raise RecognizerError(f'line {line} is not "query,ref;ref;...": {table}')
+        row, *columns = map(int, numbers)
+        if row >= queries or max(columns, default=0) >= references:
+            raise RecognizerError(
+                f"line {line} names an image that is not there: query/ has {queries} and ref/ "
+                f"{references}, counted from 0: {table}"
+            )
+        same_place[row, columns] = True
+    return same_place

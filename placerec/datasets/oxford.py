@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""New College and City Centre as their authors publish them (Cummins and Newman 2008)."""
+
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+from numpy.typing import NDArray
+
+from placerec.datasets.images import images_in
+from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.recognizer import RecognizerError
+
+GROUND_TRUTH = "*GroundTruth.mat"
+VARIABLE = "truth"
+MIN_GAP_IMAGES = 10
+"""Images closer in order are not compared: at a left and a right one every 1.5 m, up to 7.5 m
+apart on one drive; the authors' matrix marks revisits only."""
+
+
+def find_ground_truth(folder: Path) -> Path | None:
+    """Return the matrix file of such a folder, None where there is none."""
+    found = sorted([*folder.glob(GROUND_TRUTH), *folder.glob(f"masks/{GROUND_TRUTH}")])
+    return found[0] if found else None
+
+
+def read_oxford(folder: Path) -> PlaceDataset:
+    """Read a folder with the images in Images/ and the matrix in a file ...GroundTruth.mat.
+
+    The matrix (`truth`, images x images) is 1 where two images show the same place. Only its lower
+    triangle is filled by the authors, so either of (i, j) and (j, i) counts.
+
+    Raises:
+        RecognizerError: a part is missing, the matrix does not fit the images, or most images are
+            broken.
+    """
+    file, images = find_ground_truth(folder), folder / "Images"
+    if file is None or not images.is_dir():
+        missing = "folder Images" if file else f"file {GROUND_TRUTH}"
+        raise RecognizerError(f"there is no {missing}: {folder}")
+    paths = images_in(images)
+    truth = _read_matrix(file)
+    if truth.shape != (len(paths), len(paths)):
+        raise RecognizerError(
+            f"the ground truth is a matrix of {truth.shape[0]} x {truth.shape[1]}, but there are "
+            f"{len(paths)} images in {images.name}: {file}"
+        )
+    everyone = np.arange(len(paths))
+    dataset = PlaceDataset(
+        name=folder.resolve().name,
+        paths=tuple(paths),
+        queries=everyone,
+        references=everyone,
+        same_place=truth | truth.T,
+        comparable=np.abs(everyone[:, None] - everyone) > MIN_GAP_IMAGES,
+    )
+    return keep_readable(dataset)
+
+
+def _read_matrix(file: Path) -> NDArray[np.bool_]:
+    try:
+        variables = scipy.io.loadmat(file, variable_names=[VARIABLE])
+    except OSError as error:
+        raise RecognizerError(f"cannot read {file.name}: {error.strerror}: {file}") from error
+    except Exception as error:  # a broken file raises whatever its bytes happen to lead to
+        raise RecognizerError(
+            f"{file.name} is no MATLAB file of version 7 or older ({type(error).__name__}); "
+            f"save it with -v7: {file}"
+        ) from error
+    matrix = variables.get(VARIABLE)
+    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or matrix.dtype.kind not in "biuf":
+        raise RecognizerError(f"{file.name} has no matrix {VARIABLE!r}: {file}")
+    return np.asarray(matrix != 0)

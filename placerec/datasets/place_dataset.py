@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images, and which pairs of them show the same place."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.datasets.images import BrokenImage, find_fault, read_image
+from placerec.recognizer import RecognizerError
+
+BoolMatrix = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PlaceDataset:
+    """N images and the truth about Q x R pairs of them.
+
+    Where a recording is compared with itself, the queries and the references are the same images
+    and both matrices are symmetric.
+
+    Attributes:
+        name: short name, for people.
+        paths: the N image files.
+        queries: (Q,) int64, the images that look for their place.
+        references: (R,) int64, the images among which they look.
+        same_place: (Q, R) bool, whether both show the same place.
+        comparable: (Q, R) bool, the pairs that count; others are neither right nor wrong.
+        places: (N,) int64, a label per image to train with; None where only pairs are known.
+        timestamps_s: (N,) float64, where they are known.
+        skipped: listed images that cannot be read, not among the N.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    queries: NDArray[np.int64]
+    references: NDArray[np.int64]
+    same_place: BoolMatrix
+    comparable: BoolMatrix
+    places: NDArray[np.int64] | None = None
+    timestamps_s: NDArray[np.float64] | None = None
+    skipped: tuple[BrokenImage, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def image(self, i: int) -> NDArray[np.uint8]:
+        """Return image i as (H, W, 3) uint8 RGB.
+
+        Raises:
+            RecognizerError: it can no longer be read.
+        """
+        image = read_image(self.paths[i])
+        if isinstance(image, BrokenImage):
+            raise RecognizerError(f"image {i} cannot be read: {image.why}: {image.path}")
+        return image
+
+    def images(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield all N images, decoded one at a time.
+
+        Raises:
+            RecognizerError: one can no longer be read.
+        """
+        return (self.image(i) for i in range(len(self)))
+
+    @property
+    def pairs(self) -> BoolMatrix:
+        """(Q, R) bool, the pairs that count, each once."""
+        if np.array_equal(self.queries, self.references):
+            return np.triu(self.comparable, k=1)
+        return self.comparable
+
+    def subset(self, keep: NDArray[np.bool_]) -> "PlaceDataset":
+        """Return the dataset of the images where (N,) bool is true."""
+        renumbered = np.cumsum(keep) - 1
+        rows, columns = keep[self.queries], keep[self.references]
+        return replace(
+            self,
+            paths=tuple(path for path, kept in zip(self.paths, keep, strict=True) if kept),
+            queries=renumbered[self.queries[rows]],
+            references=renumbered[self.references[columns]],
+            same_place=self.same_place[np.ix_(rows, columns)],
+            comparable=self.comparable[np.ix_(rows, columns)],
+            places=None if self.places is None else self.places[keep],
+            timestamps_s=None if self.timestamps_s is None else self.timestamps_s[keep],
+        )
+
+
+def keep_readable(dataset: PlaceDataset) -> PlaceDataset:
+    """Return the dataset without the images that are missing or broken, which it names.
+
+    Raises:
+        RecognizerError: that is more than half of them, or there is no image at all.
+    """
+    faults = [find_fault(path) for path in dataset.paths]
+    broken = tuple(fault for fault in faults if fault is not None)
+    if 2 * len(broken) > len(dataset):
+        raise RecognizerError(
+            f"{len(broken)} of the {len(dataset)} images of {dataset.name} are missing or broken; "
+            f"was it unpacked completely? the first: {broken[0].why}: {broken[0].path}"
+        )
+    if len(dataset) == 0:
+        raise RecognizerError(f"{dataset.name} has no image")
+    if not broken:
+        return dataset
+    return replace(dataset.subset(np.array([fault is None for fault in faults])), skipped=broken)

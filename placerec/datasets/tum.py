@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings in the format of the TUM RGB-D benchmark: places from camera poses (eq. 10)."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.tables import read_rows
+from placerec.recognizer import RecognizerError
+
+MAX_TIME_DIFFERENCE_S = 0.02
+MAX_DISTANCE = 0.6
+"""Metres plus radians below which two frames are of the same place."""
+MIN_GAP_S = 3.0
+"""Frames closer in time are not compared: they are alike without any place being recognised."""
+STRIDE = 3
+
+FloatArray = NDArray[np.float64]
+
+
+def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
+    """Read a folder with rgb.txt and groundtruth.txt; its depth is not looked at.
+
+    Args:
+        folder: of the recording.
+        stride: every how many frames with truth one is used.
+
+    Raises:
+        RecognizerError: a list cannot be used, no frame has a true pose, or most images are broken.
+    """
+    frames_s, paths = _read_frames(folder / "rgb.txt")
+    truth_s, positions_m, quaternions = _read_truth(folder / "groundtruth.txt")
+    nearest = _nearest(frames_s, truth_s)
+    difference_s = np.abs(truth_s[nearest] - frames_s)
+    used = np.flatnonzero(difference_s <= MAX_TIME_DIFFERENCE_S)[::stride]
+    if not len(used):
+        raise RecognizerError(
+            f"no image has a true pose within {MAX_TIME_DIFFERENCE_S} s; the nearest is "
+            f"{difference_s.min():.6g} s away: {folder}"
+        )
+    timestamps_s = frames_s[used]
+    distance = pose_distance(positions_m[nearest[used]], quaternions[nearest[used]])
+    everyone = np.arange(len(used))
+    dataset = PlaceDataset(
+        name=folder.resolve().name.replace("rgbd_dataset_freiburg", "fr"),
+        paths=tuple(paths[i] for i in used),
+        queries=everyone,
+        references=everyone,
+        same_place=distance < MAX_DISTANCE,
+        comparable=np.abs(timestamps_s[:, None] - timestamps_s) > MIN_GAP_S,
+        places=_label(distance),
+        timestamps_s=timestamps_s,
+    )
+    return keep_readable(dataset)
+
+
+def pose_distance(positions_m: FloatArray, quaternions: FloatArray) -> FloatArray:
+    """Return the (N, N) distances of eq. 10: metres plus radians of T_i^-1 T_j.
+
+    Args:
+        positions_m: (N, 3) of the camera.
+        quaternions: (N, 4) x y z w, unit length.
+    """
+    metres = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
+    half_cosines = np.minimum(np.abs(quaternions @ quaternions.T), 1.0)
+    radians = 2.0 * np.arccos(half_cosines)
+    distance: FloatArray = metres + radians
+    return distance
+
+
+def _label(distance: FloatArray) -> NDArray[np.int64]:
+    """Return labels such that any two frames of a label are of the same place.
+
+    The first frame without a label founds a place, of all frames without one that are less than
+    half the limit away: eq. 10 is a metric, so no two of them are further apart than the limit.
+    """
+    labels = np.full(len(distance), -1)
+    for i, row in enumerate(distance):
+        if labels[i] < 0:
+            labels[(labels < 0) & (row < MAX_DISTANCE / 2.0)] = labels.max() + 1
+    return labels
+
+
+def _read_frames(file: Path) -> tuple[FloatArray, list[Path]]:
+    stamps_s: list[float] = []
+    paths: list[Path] = []
+    for number, fields in read_rows(file):
+        if len(fields) != 2:
+            raise RecognizerError(f'line {number} is not "timestamp filename": {file}')
+        stamps_s += _numbers(fields[:1], number, file)
+        paths.append(file.parent / fields[1])
+    if not paths:
+        raise RecognizerError(f"the list names no image: {file}")
+    ordered_s, order = np.unique(stamps_s, return_index=True)
+    return ordered_s, [paths[i] for i in order]
+
+
+def _read_truth(file: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (N,) seconds, (N, 3) metres and (N, 4) unit quaternions."""
+    poses = [_numbers(fields, number, file) for number, fields in read_rows(file)]
+    if not poses:
+        raise RecognizerError(f"the list holds no true pose: {file}")
+    if any(len(pose) != 8 for pose in poses):
+        raise RecognizerError(f'a line is not "timestamp tx ty tz qx qy qz qw": {file}')
+    table = np.array(poses)
+    table = table[np.unique(table[:, 0], return_index=True)[1]]
+    lengths = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
+    if not lengths.all():
+        raise RecognizerError(f"a quaternion has the length zero: {file}")
+    return table[:, 0], table[:, 1:4], table[:, 4:] / lengths
+
+
+def _numbers(fields: list[str], number: int, file: Path) -> list[float]:
+    try:
+        values = [float(field) for field in fields]
+    except ValueError:
+        values = [np.nan]
+    if not np.isfinite(values).all():
+        raise RecognizerError(f"line {number} holds something else than finite numbers: {file}")
+    return values
+
+
+def _nearest(times_s: FloatArray, among_s: FloatArray) -> NDArray[np.int64]:
+    """Return for each time the index of the nearest of (K,) increasing ones."""
+    after = np.searchsorted(among_s, times_s).clip(max=len(among_s) - 1)
+    before = (after - 1).clip(min=0)
+    is_before = times_s - among_s[before] < among_s[after] - times_s
+    # Past the last one, `after` is the last itself and `before` is further away.
+    is_before &= times_s <= among_s[after]
+    return np.where(is_before, before, after)

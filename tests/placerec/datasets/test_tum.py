@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from placerec.datasets.tum import pose_distance, read_tum
+from placerec.recognizer import RecognizerError
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+
+
+def test_desk_has_the_numbers_of_the_protocol(real_data):
+    desk = read_tum(real_data("rgbd_dataset_freiburg1_desk"))
+    revisits = desk.comparable & desk.same_place
+    assert desk.name == "fr1_desk"
+    assert len(desk) == 205
+    assert revisits.any(axis=1).sum() == 128
+    assert (desk.pairs & desk.same_place).sum() == 567
+    assert desk.skipped == ()
+
+
+def test_distance_is_metres_plus_radians():
+    turned = (0.0, np.sin(0.15), 0.0, np.cos(0.15))  # 0.3 rad about y
+    back = (0.0, -np.sin(0.15), 0.0, -np.cos(0.15))  # the same turn, as its other quaternion
+    distance = pose_distance(
+        np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.2]]),
+        np.array([LEVEL, turned, back]),
+    )
+    expected = [[0.0, 5.3, 0.5], [5.3, 0.0, np.sqrt(25.04)], [0.5, np.sqrt(25.04), 0.0]]
+    assert np.allclose(distance, expected, atol=1e-7)
+
+
+def test_distance_is_the_same_in_any_world_frame():
+    rng = np.random.default_rng(3)
+    positions, quaternions = rng.normal(size=(5, 3)), rng.normal(size=(5, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    half_turn = np.array([1.0, -1.0, -1.0])  # about x: (x, y, z, w) becomes (w, -z, y, -x)
+    turned = quaternions[:, [3, 2, 1, 0]] * [1.0, -1.0, 1.0, -1.0]
+    there = pose_distance(positions * half_turn + 7.0, turned)
+    assert np.allclose(there, pose_distance(positions, quaternions), atol=1e-6)
+
+
+@pytest.fixture
+def recording(tmp_path, write_image):
+    """Write a recording with a frame per second that goes out 1 m per frame and comes back."""
+
+    def write(frames=9, truth_lag_s=0.0, images=None):
+        names = [f"rgb/{i}.png" for i in range(frames)]
+        for i, name in enumerate(names):
+            write_image(tmp_path / name, seed=i)
+        positions = [min(i, frames - 1 - i) for i in range(frames)]
+        (tmp_path / "rgb.txt").write_text(
+            "# timestamp filename\n" + "".join(f"{i}.0 {n}\n" for i, n in enumerate(names))
+        )
+        (tmp_path / "groundtruth.txt").write_text(
+            "".join(f"{i + truth_lag_s} {x} 0 0 0 0 0 2\n" for i, x in enumerate(positions))
+        )
+        return tmp_path
+
+    return write
+
+
+def test_same_place_on_the_way_back(recording):
+    dataset = read_tum(recording(), stride=1)
+    revisits = np.argwhere(dataset.pairs & dataset.same_place).tolist()
+    assert revisits == [[0, 8], [1, 7], [2, 6]]  # 3 and 5 are at one place, but only 2 s apart
+    assert dataset.timestamps_s.tolist() == list(range(9))
+
+
+def test_pairs_exactly_at_the_gap_do_not_count(recording):
+    dataset = read_tum(recording(), stride=1)
+    assert not dataset.comparable[0, 3]
+    assert dataset.comparable[0, 4]
+
+
+def test_frames_of_one_label_are_all_of_one_place(real_data):
+    dataset = read_tum(real_data("rgbd_dataset_freiburg1_desk"))
+    together = dataset.places[:, None] == dataset.places
+    assert dataset.same_place[together].all()
+    assert sorted(set(dataset.places)) == list(range(dataset.places.max() + 1))
+
+
+def test_stride_counts_frames_with_truth(recording):
+    dataset = read_tum(recording(frames=9), stride=4)
+    assert [path.name for path in dataset.paths] == ["0.png", "4.png", "8.png"]
+
+
+def test_lists_may_be_unsorted_and_name_a_stamp_twice(recording):
+    folder = recording(frames=4)
+    lines = (folder / "rgb.txt").read_text().splitlines()
+    (folder / "rgb.txt").write_text("\n".join([*lines[:0:-1], "2.0 rgb/0.png"]))
+    dataset = read_tum(folder, stride=1)
+    assert [path.name for path in dataset.paths] == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def test_truth_within_20_ms_is_used_on_either_side(recording):
+    for lag_s in (-0.019, 0.019):
+        assert len(read_tum(recording(truth_lag_s=lag_s), stride=1)) == 9
+
+
+def test_truth_of_another_time_is_refused(recording):
+    with pytest.raises(RecognizerError, match=r"^no image has a true pose within 0\.02 s.*0\.3 s"):
+        read_tum(recording(truth_lag_s=0.3))
+
+
+def test_missing_image_is_skipped_and_named(recording):
+    folder = recording()
+    (folder / "rgb/3.png").unlink()
+    dataset = read_tum(folder, stride=1)
+    assert len(dataset) == 8
+    assert [broken.path.name for broken in dataset.skipped] == ["3.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("rgb.txt", "# nothing\n", "the list names no image"),
+        ("rgb.txt", "1.0\n", "line 1 is not"),
+        ("rgb.txt", "soon rgb/0.png\n", "line 1 holds something else than finite numbers"),
+        ("rgb.txt", None, r"cannot read rgb\.txt: No such file"),
+        ("groundtruth.txt", "", "the list holds no true pose"),
+        ("groundtruth.txt", "1 2 3\n", "a line is not"),
+        ("groundtruth.txt", "0 nan 0 0 0 0 0 1\n", "line 1 holds something else"),
+        ("groundtruth.txt", "0 0 0 0 0 0 0 0\n", "a quaternion has the length zero"),
+        ("groundtruth.txt", None, r"cannot read groundtruth\.txt: No such file"),
+    ],
+)
+def test_unusable_list_is_refused_in_one_line(recording, name, content, message):
+    folder = recording()
+    if content is None:
+        (folder / name).unlink()
+    else:
+        (folder / name).write_text(content)
+    with pytest.raises(RecognizerError, match=message) as caught:
+        read_tum(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_list_that_is_no_text_is_refused(recording):
+    folder = recording()
+    (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(RecognizerError, match="not text in UTF-8"):
+        read_tum(folder)
