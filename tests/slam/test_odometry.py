@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from slam import odometry, se3
+from slam.config import Config, OdometryConfig
+from slam.odometry import RgbdOdometry, TrackedFrame
+from slam.types import (
+    Camera,
+    Frame,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    Verification,
+)
+
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+
+
+def run(frames, config=None):
+    tracker = RgbdOdometry(CAMERA, config or Config())
+    return [tracker.track(frame) for frame in frames]
+
+
+def poses(tracked):
+    """Return T_odom_cam per frame: a keyframe's own, else its place against its keyframe."""
+    keyframes, found = {}, []
+    for each in tracked:
+        if each.new_keyframe is not None:
+            keyframes[each.new_keyframe.id] = each.new_keyframe.T_odom_cam
+            found.append(each.new_keyframe.T_odom_cam)
+        else:
+            found.append(keyframes[each.keyframe_id] @ each.T_kf_cam)
+    return np.array(found)
+
+
+def errors(T_odom_cam, T_truth_cam):
+    error = se3.inverse(T_truth_cam) @ T_odom_cam
+    return se3.translation_norm(error), np.degrees(se3.rotation_angle(error))
+
+
+def black(frame):
+    return replace(frame, rgb=np.zeros_like(frame.rgb), depth_m=np.zeros_like(frame.depth_m))
+
+
+@pytest.fixture(scope="module")
+def tracked(frames):
+    return run(frames)
+
+
+def test_every_frame_of_a_good_recording_is_tracked_along_the_truth(tracked, T_first_cam):
+    assert all(isinstance(each, TrackedFrame) for each in tracked)
+    error_m, error_deg = errors(poses(tracked), T_first_cam)
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+    assert se3.translation_norm(T_first_cam).max() > 0.5
+
+
+def test_the_first_frame_is_keyframe_0_at_the_origin(tracked, frames):
+    first = tracked[0].new_keyframe
+    assert first.id == tracked[0].keyframe_id == 0 and first.timestamp_s == frames[0].timestamp_s
+    np.testing.assert_array_equal(first.T_odom_cam, np.eye(4))
+    assert tracked[0].links == () and first.turning_rad_s == 0.0
+
+
+def test_keyframes_count_up_and_carry_half_the_image(tracked):
+    keyframes = [each.new_keyframe for each in tracked if each.new_keyframe]
+    assert [keyframe.id for keyframe in keyframes] == list(range(len(keyframes)))
+    assert 5 < len(keyframes) < 30
+    assert {keyframe.preview.rgb.shape for keyframe in keyframes} == {(120, 160, 3)}
+    assert len(keyframes[3].features.pixels) > 100
+
+
+def test_keyframes_are_no_further_apart_than_one_frame_beyond_the_limits(tracked):
+    keyframes = [each.new_keyframe for each in tracked if each.new_keyframe]
+    for before, after in pairwise(keyframes):
+        motion = se3.inverse(before.T_odom_cam) @ after.T_odom_cam
+        assert se3.translation_norm(motion) < 0.2 + 0.12
+        assert np.degrees(se3.rotation_angle(motion)) < 15.0 + 8.0
+
+
+def test_links_start_with_the_frames_own_reference_and_fit_the_truth(tracked, frames, T_first_cam):
+    index_of = {frame.timestamp_s: i for i, frame in enumerate(frames)}
+    keyframes = [each.new_keyframe for each in tracked if each.new_keyframe]
+    T_truth = [T_first_cam[index_of[keyframe.timestamp_s]] for keyframe in keyframes]
+    for each in tracked[1:]:
+        if each.new_keyframe is None:
+            assert each.links == ()
+            continue
+        new_id = each.new_keyframe.id
+        assert each.links[0].ref_id == each.keyframe_id
+        others = [link.ref_id for link in each.links]
+        assert len(set(others)) == len(others) <= 1 + OdometryConfig().links
+        assert all(new_id - 5 <= ref_id < new_id for ref_id in others)
+        for link in each.links:
+            assert link.query_id == new_id
+            T_true = se3.inverse(T_truth[link.ref_id]) @ T_truth[new_id]
+            error_m, error_deg = errors(link.motion.T_ref_query, T_true)
+            assert error_m < 0.06 and error_deg < 2.0
+    assert max(len(each.links) for each in tracked) > 1
+
+
+def test_turning_is_measured_in_rad_per_second(tracked, frames, T_first_cam):
+    times_s = np.array([frame.timestamp_s for frame in frames])
+    turned = se3.rotation_angle(se3.inverse(T_first_cam[:-1]) @ T_first_cam[1:])
+    truth_rad_s = dict(zip(times_s[1:], turned / np.diff(times_s), strict=True))
+    keyframes = [each.new_keyframe for each in tracked[1:] if each.new_keyframe]
+    measured = [keyframe.turning_rad_s for keyframe in keyframes]
+    expected = [truth_rad_s[keyframe.timestamp_s] for keyframe in keyframes]
+    np.testing.assert_allclose(measured, expected, atol=0.25)
+    assert max(expected) > 0.4
+
+
+def test_the_same_frames_give_the_same_bits(frames, tracked):
+    again = run(frames[:20])
+    np.testing.assert_array_equal(poses(again), poses(tracked[:20]))
+
+
+@pytest.mark.parametrize("gap", [1, 3])
+def test_black_frames_are_marked_and_those_after_them_tracked(frames, T_first_cam, gap):
+    spoiled = frames[:20]
+    spoiled[8 : 8 + gap] = [black(frame) for frame in spoiled[8 : 8 + gap]]
+    tracked = run(spoiled)
+    for rejection in tracked[8 : 8 + gap]:
+        assert rejection == Rejection(RejectionReason.FEW_MATCHES, 0, 15)
+    seen = [i for i in range(20) if not 8 <= i < 8 + gap]
+    error_m, error_deg = errors(poses([tracked[i] for i in seen]), T_first_cam[seen])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
+def test_a_blank_start_is_skipped_until_there_is_something_to_see(frames):
+    tracked = run([black(frames[0]), black(frames[1]), *frames[2:5]])
+    assert tracked[:2] == [Rejection(RejectionReason.FEW_MATCHES, 0, 15)] * 2
+    first = tracked[2].new_keyframe
+    assert first.id == 0 and first.timestamp_s == frames[2].timestamp_s
+    np.testing.assert_array_equal(first.T_odom_cam, np.eye(4))
+    assert all(isinstance(each, TrackedFrame) for each in tracked[2:])
+
+
+def test_texture_without_depth_is_no_start(frames):
+    blind = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
+    assert run([blind]) == [Rejection(RejectionReason.FEW_MATCHES, 0, 15)]
+
+
+def test_a_lost_camera_is_found_again_by_an_earlier_keyframe(frames, tracked, T_first_cam):
+    # It is carried back to where it was three keyframes before, in one frame.
+    count = next(i for i, each in enumerate(tracked) if each.new_keyframe and each.keyframe_id == 3)
+    jump = replace(frames[1], timestamp_s=frames[count].timestamp_s + 0.1)
+    found = run([*frames[: count + 1], jump])
+    assert isinstance(found[-1], TrackedFrame) and found[-1].keyframe_id < 3
+    error_m, error_deg = errors(poses(found)[-1:], T_first_cam[1:2])
+    assert error_m[0] < 0.05 and error_deg[0] < 2.0
+
+
+def motion(translation_m=0.0, turn_deg=0.0):
+    return se3.exp(np.array([0.0, np.radians(turn_deg), 0.0, translation_m, 0.0, 0.0]))
+
+
+@pytest.fixture
+def scripted(frames, monkeypatch):
+    """Return a run in which geometry sees the given (T_kf_cam, inliers), frame by frame."""
+
+    def track(script, config=None):
+        answers = iter(script)
+
+        def answer(reference, query, camera, config):
+            told = next(answers)
+            if isinstance(told, Rejection):
+                return Verification(told, np.zeros((0, 4)), np.zeros(0, bool))
+            T_ref_query, inliers = told
+            mask = np.arange(200) < inliers
+            return Verification(RelativePose(T_ref_query, np.eye(6)), np.zeros((200, 4)), mask)
+
+        monkeypatch.setattr(odometry, "estimate_relative_pose", answer)
+        settings = OdometryConfig(links=0, **(config or {}))
+        stamped = [
+            Frame(float(i), frames[0].rgb, frames[0].depth_m) for i in range(len(script) + 1)
+        ]
+        return run(stamped, Config(odometry=settings))
+
+    return track
+
+
+@pytest.mark.parametrize(
+    ("moved", "inliers", "is_keyframe"),
+    [
+        (motion(), 100, False),
+        (motion(translation_m=0.19), 100, False),
+        (motion(translation_m=0.21), 100, True),
+        (motion(translation_m=-0.21), 100, True),
+        (motion(turn_deg=14.5), 100, False),
+        (motion(turn_deg=15.5), 100, True),
+        (motion(), 36, False),
+        (motion(), 34, True),
+    ],
+)
+def test_a_frame_becomes_a_keyframe_far_off_turned_away_or_with_little_in_common(
+    scripted, moved, inliers, is_keyframe
+):
+    *_, last = scripted([(motion(), 100), (moved, inliers)])
+    assert (last.new_keyframe is not None) == is_keyframe
+    np.testing.assert_array_equal(last.T_kf_cam, moved)
+
+
+def test_the_share_of_inliers_is_of_the_most_seen_since_the_keyframe(scripted):
+    # After the new keyframe 40 inliers are all there ever were: no reason for another one.
+    script = [(motion(), 200), (motion(), 60), (motion(), 40), (motion(), 15)]
+    tracked = scripted(script)
+    assert [each.new_keyframe is not None for each in tracked] == [True, False, True, False, False]
+    tracked = scripted([*script[:3], (motion(), 13)])
+    assert tracked[-1].new_keyframe is not None
+
+
+def test_limits_come_from_the_settings(scripted):
+    script = [(motion(translation_m=0.06), 100)]
+    assert scripted(script, {"keyframe_translation_m": 0.05})[-1].new_keyframe is not None
+    assert scripted(script, {"keyframe_translation_m": 0.07})[-1].new_keyframe is None
+
+
+def test_poses_chain_through_keyframes(scripted):
+    far = motion(translation_m=0.3, turn_deg=5.0)
+    tracked = scripted([(far, 100), (far, 100), (motion(translation_m=0.1), 100)])
+    expected = [np.eye(4), far, far @ far, far @ far @ motion(translation_m=0.1)]
+    np.testing.assert_allclose(poses(tracked), expected, atol=1e-12)
+
+
+def test_the_rejection_told_is_that_of_the_latest_keyframe(scripted):
+    told = Rejection(RejectionReason.NO_POSE, 3, 6)
+    assert scripted([told])[-1] == told
+
+
+def test_standing_still_makes_no_keyframes(frames):
+    still = [replace(frames[0], timestamp_s=float(i)) for i in range(6)]
+    tracked = run(still)
+    assert [each.new_keyframe is not None for each in tracked] == [True] + [False] * 5
+    np.testing.assert_allclose(poses(tracked), np.tile(np.eye(4), (6, 1, 1)), atol=1e-6)
