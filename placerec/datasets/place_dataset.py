@@ -16,7 +16,7 @@ BoolMatrix = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class PlaceDataset:
-    """N images and the truth about Q x R pairs of them.
+    """N images, by index or one after the other, and the truth about Q x R pairs of them.
 
     Where a recording is compared with itself, the queries and the references are the same images
     and both matrices are symmetric.
@@ -46,24 +46,20 @@ class PlaceDataset:
     def __len__(self) -> int:
         return len(self.paths)
 
-    def image(self, i: int) -> NDArray[np.uint8]:
-        """Return image i as (H, W, 3) uint8 RGB.
+    def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
+        """Return an image, (H, W, 3) uint8 RGB.
 
         Raises:
             RecognizerError: it can no longer be read.
         """
-        image = read_image(self.paths[i])
+        image = read_image(self.paths[index])
         if isinstance(image, BrokenImage):
-            raise RecognizerError(f"image {i} cannot be read: {image.why}: {image.path}")
+            raise RecognizerError(f"image {index} cannot be read: {image.why}: {image.path}")
         return image
 
-    def images(self) -> Iterator[NDArray[np.uint8]]:
-        """Yield all N images, decoded one at a time.
-
-        Raises:
-            RecognizerError: one can no longer be read.
-        """
-        return (self.image(i) for i in range(len(self)))
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield all N images, decoded one at a time."""
+        return (self[index] for index in range(len(self)))
 
     @property
     def pairs(self) -> BoolMatrix:

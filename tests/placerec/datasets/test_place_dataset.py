@@ -26,9 +26,9 @@ def dataset(tmp_path, write_image):
 
 
 def test_images_come_in_order(dataset):
-    images = list(dataset.images())
+    images = list(dataset)
     assert len(images) == len(dataset) == 4
-    assert np.array_equal(images[2], dataset.image(2))
+    assert np.array_equal(images[2], dataset[2])
     assert not np.array_equal(images[2], images[3])
 
 
@@ -92,4 +92,4 @@ def test_dataset_without_images_is_refused(dataset):
 def test_image_that_vanished_later_is_an_error(dataset):
     dataset.paths[2].unlink()
     with pytest.raises(RecognizerError, match="image 2 cannot be read: No such file"):
-        list(dataset.images())
+        list(dataset)

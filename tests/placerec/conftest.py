@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[4] / "shared" / "data"))
+DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
 @pytest.fixture
