@@ -61,6 +61,7 @@ class Slam:
         self._attempts: list[LoopAttempt] = []
         self._rides: list[_Ride] = []
         self._untracked_s: list[float] = []
+        self._last_s = -np.inf
         self.clock = StageClock()
 
     @property
@@ -69,7 +70,13 @@ class Slam:
         return bool(self._keyframes)
 
     def process(self, frame: Frame) -> TrackedFrame | Rejection:
-        """Take the next frame of the camera and return where it was placed, or why it was not."""
+        """Take the next frame of the camera and return where it was placed, or why it was not.
+
+        Raises:
+            SlamError: the frame is not of the camera's size, or the time does not increase.
+            RecognizerError: the recognizer failed; what was done until then can be finished.
+        """
+        self._check_frame(frame)
         with self.clock.stage("track"):
             tracked = self._odometry.track(frame)
         if isinstance(tracked, Rejection):
@@ -87,19 +94,23 @@ class Slam:
         """Take a keyframe whose (4, 4) pose comes from elsewhere and return its loop candidates.
 
         Raises:
-            SlamError: the pose is not a rigid transform, or the time does not increase.
+            SlamError: the frame is not of the camera's size, the time does not increase, or the
+                pose is not a rigid transform.
+            RecognizerError: the recognizer failed; what was done until then can be finished.
         """
-        self._check_pose(frame.timestamp_s, T_odom_cam)
+        self._check_frame(frame)
+        _check_pose(frame.timestamp_s, T_odom_cam)
+        last = self._keyframes[-1] if self._keyframes else None
         keyframe = Keyframe(
             id=len(self._keyframes),
             timestamp_s=frame.timestamp_s,
             T_odom_cam=T_odom_cam,
             features=self._extractor.extract(frame),
             preview=preview(frame),
+            turning_rad_s=_turning_rad_s(last, frame.timestamp_s, T_odom_cam) if last else 0.0,
         )
         links: tuple[Link, ...] = ()
-        if self._keyframes:
-            last = self._keyframes[-1]
+        if last:
             T_last_cam = se3.inverse(last.T_odom_cam) @ T_odom_cam
             motion = RelativePose(T_last_cam, self._outside_information())
             links = (Link(last.id, keyframe.id, motion),)
@@ -186,15 +197,30 @@ class Slam:
         translation_m = self._config.graph.outside_translation_sigma_m
         return np.diag([rotation_rad**-2.0] * 3 + [translation_m**-2.0] * 3)
 
-    def _check_pose(self, timestamp_s: float, T_odom_cam: FloatArray) -> None:
-        if self._rides and not timestamp_s > self._rides[-1].timestamp_s:
+    def _check_frame(self, frame: Frame) -> None:
+        if not frame.timestamp_s > self._last_s:
             raise SlamError(
-                f"keyframes must come in the order of time: {timestamp_s:.6f} s after"
-                f" {self._rides[-1].timestamp_s:.6f} s"
+                f"frames must come in the order of time: {frame.timestamp_s:.6f} s after"
+                f" {self._last_s:.6f} s"
             )
-        R = T_odom_cam[:3, :3]
-        is_rigid = T_odom_cam.shape == (4, 4) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
-        if not (is_rigid and np.isfinite(T_odom_cam).all() and np.linalg.det(R) > 0):
+        wanted = (self._camera.height, self._camera.width)
+        if frame.rgb.shape != (*wanted, 3) or frame.depth_m.shape != wanted:
             raise SlamError(
-                f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
+                f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"
+                f" {frame.depth_m.shape}, but the camera makes {(*wanted, 3)} and {wanted}"
             )
+        self._last_s = frame.timestamp_s
+
+
+def _check_pose(timestamp_s: float, T_odom_cam: FloatArray) -> None:
+    R = T_odom_cam[:3, :3]
+    is_rigid = T_odom_cam.shape == (4, 4) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
+    if not (is_rigid and np.isfinite(T_odom_cam).all() and np.linalg.det(R) > 0):
+        raise SlamError(
+            f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
+        )
+
+
+def _turning_rad_s(last: Keyframe, timestamp_s: float, T_odom_cam: FloatArray) -> float:
+    turned_rad = se3.rotation_angle(se3.inverse(last.T_odom_cam) @ T_odom_cam)
+    return float(turned_rad) / (timestamp_s - last.timestamp_s)
