@@ -48,11 +48,10 @@ class EarlyLayers:
             self._frozen, self.trained = _split(network, frozen_block)
             self._frozen.requires_grad_(False)
 
-    def keep_maps(self, progress: Progress | None = None) -> None:
-        """Work out the frozen layers' maps of all images, to be looked up from now on."""
+    def keep_maps(self, count: int, progress: Progress | None = None) -> None:
+        """Work out the frozen layers' maps of all n images, to be looked up from now on."""
         if self._frozen is None:
             return
-        count = len(self._images.places)
         maps: list[Tensor] = []
         # Always in the same portions: the last bits of a map depend on what it is computed with.
         for start in range(0, count, IMAGES_PER_PASS):

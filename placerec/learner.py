@@ -51,9 +51,9 @@ class Learner:
         groups = [{"params": list(parameters)} for parameters in (last, trunk)]
         self.optimizer = torch.optim.Adam([group for group in groups if group["params"]])
 
-    def look_at_all(self, progress: Progress | None = None) -> None:
-        """Work out once what the frozen layers make of all images."""
-        self._layers.keep_maps(progress)
+    def look_at_all(self, count: int, progress: Progress | None = None) -> None:
+        """Work out once what the frozen layers make of all n images."""
+        self._layers.keep_maps(count, progress)
 
     @torch.no_grad()
     def embed(

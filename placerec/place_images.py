@@ -11,8 +11,8 @@ class PlaceImages(Protocol):
     """Images, each with the place that it shows."""
 
     @property
-    def places(self) -> NDArray[np.int64]:
-        """(n,) int64, a label per image: the same place, the same label; another, another."""
+    def places(self) -> NDArray[np.int64] | None:
+        """(n,) int64, a label per image: one per place; None cannot be learned from."""
         ...
 
     def __getitem__(self, index: int, /) -> NDArray[np.uint8]:

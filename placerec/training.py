@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
 from placerec.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from placerec.early_layers import Progress
@@ -73,11 +71,13 @@ class Training:
             progress: called while images are looked at to build sets, which may take long.
 
         Raises:
-            RecognizerError: the folder's checkpoint is damaged or of another training, a file
-                cannot be written, or frozen_block does not fit the network.
+            RecognizerError: the images have no labels, the folder's checkpoint is damaged or of
+                another training, a file cannot be written, or frozen_block does not fit.
         """
-        self.network = network
-        self._images, self._config, self._folder = images, config, folder
+        if images.places is None:
+            raise RecognizerError("the images come without place labels; there is none to learn")
+        self.network, self._places = network, images.places
+        self._config, self._folder = config, folder
         self._workers = workers or Workers()
         self._progress = progress
         self._learner = Learner(network, images, config, self._workers)
@@ -101,7 +101,7 @@ class Training:
                 kept), there are too few places for a set, or a file cannot be written.
         """
         self._started_s = time.monotonic() - self._elapsed_s
-        self._learner.look_at_all(self._progress)
+        self._learner.look_at_all(len(self._places), self._progress)
         try:
             while not self._is_over():
                 yield self._learn()
@@ -128,7 +128,7 @@ class Training:
 
     def _build_sets(self) -> None:
         """Start a round: one anchor of each place, among the images looked at this time."""
-        places = self._images.places
+        places = self._places
         rng = np.random.default_rng([self._config.seed, self._round])
         seen = sample_images(places, self._config.images_per_place or len(places), rng)
         features = self._learner.embed(seen, self._progress)
@@ -155,6 +155,7 @@ class Training:
         learning_rate = self._learner.update(self._step)
         self._step, self._used = self._step + 1, self._used + len(batch)
         self._tick()
+        images = batch.positives.size + batch.negatives.size
         record = StepRecord(
             step=self._step,
             round=self._round,
@@ -162,8 +163,7 @@ class Training:
             active_share=active_share,
             sets_left=len(self._sets) - self._used,
             learning_rate=learning_rate,
-            images_per_s=(batch.positives.size + batch.negatives.size)
-            / max(self._elapsed_s - before_s, 1e-9),
+            images_per_s=images / max(self._elapsed_s - before_s, 1e-9),
             elapsed_s=self._elapsed_s,
             time_to_go_s=self._time_to_go_s(),
         )
@@ -186,11 +186,11 @@ class Training:
 
     def _settings(self) -> dict[str, str]:
         network = self.network
-        labels = hashlib.sha256(np.ascontiguousarray(self._images.places, np.int64).tobytes())
+        labels = hashlib.sha256(np.ascontiguousarray(self._places, np.int64).tobytes())
         config = self._config.model_dump(mode="json", exclude=set(MAY_CHANGE))
         return {name: json.dumps(value) for name, value in config.items()} | {
             "network": f"{network.trunk.name} to {network.block}, {network.dimension} values",
-            "images": f"{len(self._images.places)} with labels {labels.hexdigest()[:12]}",
+            "images": f"{len(self._places)} with labels {labels.hexdigest()[:12]}",
         }
 
     def _save(self) -> None:
@@ -201,8 +201,8 @@ class Training:
             settings=self._settings(),
             network=self.network.state_dict(),
             optimizer=self._learner.optimizer.state_dict(),
-            positives=_to_tensor(self._sets.positives),
-            negatives=_to_tensor(self._sets.negatives),
+            positives=torch.from_numpy(self._sets.positives),
+            negatives=torch.from_numpy(self._sets.negatives),
             used=self._used,
             round=self._round,
             step=self._step,
@@ -216,7 +216,3 @@ class Training:
         self._sets = ImageSets(checkpoint.positives.numpy(), checkpoint.negatives.numpy())
         self._used, self._round, self._step = checkpoint.used, checkpoint.round, checkpoint.step
         self._elapsed_s = checkpoint.elapsed_s
-
-
-def _to_tensor(indices: NDArray[np.int64]) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(indices))

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +9,12 @@ import numpy as np
 import pytest
 
 DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[3] / "shared" / "data"))
+
+
+def pytest_collection_finish():
+    # What a test computes is so small that a second thread only waits, for long on a busy machine.
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 @pytest.fixture
