@@ -98,8 +98,8 @@ class Slam:
                 pose is not a rigid transform.
             RecognizerError: the recognizer failed; what was done until then can be finished.
         """
+        T_odom_cam = _checked_pose(frame.timestamp_s, T_odom_cam)
         self._check_frame(frame)
-        _check_pose(frame.timestamp_s, T_odom_cam)
         last = self._keyframes[-1] if self._keyframes else None
         keyframe = Keyframe(
             id=len(self._keyframes),
@@ -212,13 +212,15 @@ class Slam:
         self._last_s = frame.timestamp_s
 
 
-def _check_pose(timestamp_s: float, T_odom_cam: FloatArray) -> None:
-    R = T_odom_cam[:3, :3]
-    is_rigid = T_odom_cam.shape == (4, 4) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
-    if not (is_rigid and np.isfinite(T_odom_cam).all() and np.linalg.det(R) > 0):
+def _checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
+    T = np.array(T_odom_cam, dtype=np.float64)  # a copy: callers reuse their matrix
+    is_affine = T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])
+    R = T[:3, :3] if is_affine else np.zeros((3, 3))
+    if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0):
         raise SlamError(
             f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
         )
+    return T
 
 
 def _turning_rad_s(last: Keyframe, timestamp_s: float, T_odom_cam: FloatArray) -> float:

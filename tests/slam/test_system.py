@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from placerec.gradients import GradientRecognizer
+from placerec.recognizer import RecognizerError
+from slam import se3
+from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig
+from slam.drift import compare_drift, trajectory_error
+from slam.odometry import TrackedFrame
+from slam.system import Slam
+from slam.types import Camera, Rejection, SlamError
+
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+
+
+def run(frames, config=None, recognizer=None):
+    slam = Slam(CAMERA, recognizer or GradientRecognizer(), config)
+    for frame in frames:
+        slam.process(frame)
+    return slam.finish()
+
+
+def black(frame):
+    return replace(frame, rgb=np.zeros_like(frame.rgb))
+
+
+@pytest.fixture(scope="module")
+def result(frames):
+    return run(frames)
+
+
+@pytest.fixture(scope="module")
+def drifting(frames, T_first_cam):
+    """Return every fourth frame and its pose by an odometry from elsewhere that drifts."""
+    chosen = list(range(0, len(frames), 4))
+    step = se3.exp(np.array([0.0, 0.004, 0.0, 0.008, 0.0, 0.008]))
+    T_odom_cam = [np.eye(4)]
+    for before, after in pairwise(chosen):
+        T_before_after = se3.inverse(T_first_cam[before]) @ T_first_cam[after]
+        T_odom_cam.append(T_odom_cam[-1] @ T_before_after @ step)
+    return [frames[i] for i in chosen], T_odom_cam
+
+
+def add_all(drifting, config=None):
+    slam = Slam(CAMERA, GradientRecognizer(), config)
+    attempts = [slam.add_keyframe(frame, T) for frame, T in zip(*drifting, strict=True)]
+    return slam.finish(), attempts
+
+
+def test_every_tracked_frame_is_in_both_trajectories(result, frames):
+    times_s = [frame.timestamp_s for frame in frames]
+    for trajectory in (result.odometry, result.trajectory):
+        np.testing.assert_array_equal(trajectory.timestamps_s, times_s)
+        assert trajectory.T_world_cam.shape == (60, 4, 4)
+        np.testing.assert_allclose(trajectory.T_world_cam[0], np.eye(4), atol=1e-9)
+        R = trajectory.T_world_cam[:, :3, :3]
+        unit = np.tile(np.eye(3), (60, 1, 1))
+        np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), unit, atol=1e-9)
+    assert len(result.untracked_s) == 0 and result.camera == CAMERA
+
+
+def test_the_corrected_path_is_near_the_truth(result, sequence):
+    truth, config = sequence.ground_truth, EvaluationConfig()
+    drift = compare_drift(
+        result.odometry, result.trajectory, truth, result.attempts, result.keyframes, config
+    )
+    assert drift.before.ate_rmse_m < 0.03 and drift.after.ate_rmse_m < 0.02
+    assert not any(loop.is_false for loop in drift.loops)
+
+
+def test_keyframes_ride_on_themselves_and_frames_on_their_keyframe(result):
+    index_of = {time_s: i for i, time_s in enumerate(result.trajectory.timestamps_s)}
+    at_keyframes = [index_of[keyframe.timestamp_s] for keyframe in result.keyframes]
+    np.testing.assert_array_equal(result.trajectory.T_world_cam[at_keyframes], result.T_world_kf)
+    np.testing.assert_array_equal(
+        result.odometry.T_world_cam[at_keyframes],
+        [keyframe.T_odom_cam for keyframe in result.keyframes],
+    )
+
+
+def test_links_tie_every_keyframe_and_attempts_look_back(result):
+    count = len(result.keyframes)
+    assert {link.query_id for link in result.links} == set(range(1, count))
+    assert all(link.ref_id < link.query_id for link in result.links)
+    assert result.attempts and all(each.match_id < each.query_id for each in result.attempts)
+    for attempt in result.attempts:
+        assert (attempt.weight is not None) == attempt.is_accepted
+    assert result.similarities.shape == (count, count)
+    assert result.min_similarity == GradientRecognizer.min_similarity
+
+
+def test_stages_are_in_the_order_of_the_pipeline(result):
+    assert list(result.stage_seconds) == ["track", "describe", "close loops", "graph"]
+    assert all(seconds > 0.0 for seconds in result.stage_seconds.values())
+
+
+def test_two_runs_give_the_same_bits(frames, result):
+    again = run(frames)
+    np.testing.assert_array_equal(again.trajectory.T_world_cam, result.trajectory.T_world_cam)
+    np.testing.assert_array_equal(again.similarities, result.similarities)
+    for one, other in zip(again.attempts, result.attempts, strict=True):
+        assert (one.query_id, one.match_id, one.weight) == (
+            other.query_id,
+            other.match_id,
+            other.weight,
+        )
+        assert one.similarity == other.similarity
+
+
+def test_a_frame_that_cannot_be_tracked_is_counted_and_warned_of(frames):
+    slam = Slam(CAMERA, GradientRecognizer())
+    outcomes = [
+        slam.process(black(frame) if i in (4, 5) else frame) for i, frame in enumerate(frames[:8])
+    ]
+    kinds = [Rejection if i in (4, 5) else TrackedFrame for i in range(8)]
+    assert [type(outcome) for outcome in outcomes] == kinds
+    result = slam.finish()
+    assert result.untracked_s.tolist() == [frames[4].timestamp_s, frames[5].timestamp_s]
+    assert len(result.trajectory) == len(result.odometry) == 6
+    (warning,) = result.warnings
+    assert warning.startswith("2 of 8 frames could not be tracked")
+    assert f"{frames[4].timestamp_s:.3f}" in warning
+
+
+def test_nothing_but_black_frames_is_an_error_that_says_what_to_do(frames):
+    slam = Slam(CAMERA, GradientRecognizer())
+    for finish in (slam.finish, lambda: run([black(frame) for frame in frames[:3]])):
+        with pytest.raises(SlamError, match=r"no frame could be tracked: .*odometry\.min-inliers"):
+            finish()
+    assert not slam.has_keyframes
+
+
+def test_one_frame_is_a_run(frames):
+    result = run(frames[:1])
+    assert len(result.trajectory) == len(result.keyframes) == 1
+    assert result.attempts == result.links == result.warnings == ()
+
+
+def test_finish_may_be_asked_for_more_than_once(frames):
+    slam = Slam(CAMERA, GradientRecognizer())
+    for frame in frames[:10]:
+        slam.process(frame)
+    first = slam.finish()
+    for frame in frames[10:20]:
+        slam.process(frame)
+    second = slam.finish()
+    assert len(first.trajectory) == 10 and len(second.trajectory) == 20
+
+
+def test_poses_from_elsewhere_are_corrected_by_loops(drifting, sequence):
+    result, attempts = add_all(drifting)
+    assert len(result.keyframes) == len(drifting[0]) == len(result.trajectory)
+    np.testing.assert_array_equal(result.odometry.T_world_cam, drifting[1])
+    before = trajectory_error(result.odometry, sequence.ground_truth, EvaluationConfig())
+    after = trajectory_error(result.trajectory, sequence.ground_truth, EvaluationConfig())
+    assert before.ate_rmse_m > 0.03
+    assert after.ate_rmse_m < 0.5 * before.ate_rmse_m
+    assert sum(each.is_accepted for each in result.attempts) > 3
+    assert [len(each) for each in attempts] == [
+        sum(each.query_id == number for each in result.attempts) for number in range(len(attempts))
+    ]
+    assert all(attempt.weight is None for each in attempts for attempt in each)
+
+
+def test_without_candidates_poses_from_elsewhere_stay_what_they_are(drifting):
+    patient = Config(loop=LoopConfig(min_gap_s=1000.0))
+    result, attempts = add_all(drifting, patient)
+    assert not result.attempts and not any(attempts)
+    np.testing.assert_allclose(result.trajectory.T_world_cam, drifting[1], atol=1e-6)
+
+
+def test_trust_in_poses_from_elsewhere_is_a_setting(drifting):
+    config = GraphConfig(outside_rotation_sigma_deg=2.0, outside_translation_sigma_m=0.05)
+    result, _ = add_all(drifting, Config(graph=config))
+    sigma = np.sqrt(1.0 / np.diag(result.links[0].motion.information))
+    np.testing.assert_allclose(sigma, [np.radians(2.0)] * 3 + [0.05] * 3)
+    T_first_second = se3.inverse(drifting[1][0]) @ drifting[1][1]
+    np.testing.assert_allclose(result.links[0].motion.T_ref_query, T_first_second, atol=1e-12)
+
+
+def test_a_start_away_from_the_origin_is_fine(drifting):
+    T_map_odom = se3.exp(np.array([0.3, 0.2, 0.1, 5.0, 6.0, 7.0]))
+    moved = drifting[0], [T_map_odom @ T for T in drifting[1]]
+    here, there = add_all(drifting)[0], add_all(moved)[0]
+    # The world is the first keyframe's camera, wherever the odometry began.
+    np.testing.assert_allclose(there.T_world_kf, here.T_world_kf, atol=1e-6)
+
+
+def test_the_pose_given_may_be_changed_afterwards(frames):
+    slam = Slam(CAMERA, GradientRecognizer())
+    T_odom_cam = np.eye(4)
+    slam.add_keyframe(frames[0], T_odom_cam)
+    T_odom_cam[0, 3] = 0.1
+    slam.add_keyframe(frames[1], T_odom_cam)
+    positions = slam.finish().odometry.T_world_cam[:, 0, 3]
+    assert positions.tolist() == [0.0, 0.1]
+
+
+def spoiled(**entries):
+    T = np.eye(4)
+    for name, value in entries.items():
+        T[int(name[1]), int(name[2])] = value
+    return T
+
+
+@pytest.mark.parametrize(
+    "T_odom_cam",
+    [
+        spoiled(_00=2.0),
+        spoiled(_00=-1.0),
+        spoiled(_01=0.1),
+        spoiled(_03=np.nan),
+        spoiled(_11=np.nan),
+        spoiled(_13=np.inf),
+        spoiled(_30=1.0),
+        spoiled(_33=2.0),
+        np.eye(3),
+        np.eye(4)[:3],
+        np.eye(4)[None],
+        np.zeros(7),
+        np.float64(1.0),
+    ],
+)
+def test_a_pose_that_is_not_rigid_is_refused(frames, T_odom_cam):
+    slam = Slam(CAMERA, GradientRecognizer())
+    with pytest.raises(SlamError, match=r"not a rigid \(4, 4\) transform") as error:
+        slam.add_keyframe(frames[0], T_odom_cam)
+    assert "\n" not in str(error.value)
+    assert not slam.has_keyframes
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.1, np.nan])
+def test_time_has_to_go_on(frames, step_s):
+    later = replace(frames[1], timestamp_s=frames[0].timestamp_s + step_s)
+    slam = Slam(CAMERA, GradientRecognizer())
+    slam.add_keyframe(frames[0], np.eye(4))
+    with pytest.raises(SlamError, match="order of time"):
+        slam.add_keyframe(later, np.eye(4))
+    slam = Slam(CAMERA, GradientRecognizer())
+    slam.process(frames[0])
+    with pytest.raises(SlamError, match="order of time"):
+        slam.process(later)
+    assert len(slam.finish().trajectory) == 1
+
+
+def test_a_frame_of_another_size_is_refused(frames):
+    small = replace(frames[1], rgb=frames[1].rgb[:-2], depth_m=frames[1].depth_m[:-2])
+    torn = replace(frames[1], depth_m=frames[1].depth_m[:, :-2])
+    grey = replace(frames[1], rgb=frames[1].rgb[:, :, 0])
+    for spoiled_frame in (small, torn, grey):
+        slam = Slam(CAMERA, GradientRecognizer())
+        for take in (slam.process, lambda frame, to=slam: to.add_keyframe(frame, np.eye(4))):
+            with pytest.raises(SlamError, match="but the camera makes") as error:
+                take(spoiled_frame)
+            assert "\n" not in str(error.value)
+
+
+def test_a_refused_frame_may_be_given_again_with_a_better_pose(frames):
+    slam = Slam(CAMERA, GradientRecognizer())
+    with pytest.raises(SlamError, match="not a rigid"):
+        slam.add_keyframe(frames[0], np.zeros((4, 4)))
+    slam.add_keyframe(frames[0], np.eye(4))
+    assert len(slam.finish().keyframes) == 1
+
+
+class Failing(GradientRecognizer):
+    """Works for some keyframes, and then no more."""
+
+    def __init__(self, good):
+        self.good = good
+
+    def embed(self, image):
+        self.good -= 1
+        return super().embed(image) if self.good >= 0 else np.full(496, np.nan)
+
+
+def test_what_was_found_before_a_recognizer_failed_is_kept(frames):
+    slam = Slam(CAMERA, Failing(4))
+    with pytest.raises(RecognizerError, match="NaN"):
+        for frame in frames:
+            slam.process(frame)
+    result = slam.finish()
+    assert len(result.keyframes) == 4 == len(result.similarities)
+    assert result.T_world_kf.shape == (4, 4, 4)
+    assert len(result.trajectory) == len(result.odometry) > 4
+    assert result.trajectory.timestamps_s[-1] >= result.keyframes[-1].timestamp_s
+
+
+def test_frames_are_corrected_with_their_keyframe(frames):
+    slam = Slam(CAMERA, GradientRecognizer())
+    for frame in frames[:12]:
+        slam.process(frame)
+    result = slam.finish()
+    ids = [keyframe.timestamp_s for keyframe in result.keyframes]
+    for i, time_s in enumerate(result.trajectory.timestamps_s):
+        k = np.searchsorted(ids, time_s, side="right") - 1
+        assert np.isfinite(result.trajectory.T_world_cam[i]).all()
+        before = se3.inverse(result.odometry.T_world_cam[i]) @ result.keyframes[k].T_odom_cam
+        after = se3.inverse(result.trajectory.T_world_cam[i]) @ result.T_world_kf[k]
+        np.testing.assert_allclose(before, after, atol=1e-9)
