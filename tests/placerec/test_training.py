@@ -324,3 +324,12 @@ def test_frozen_block_must_be_in_the_network(tmp_path):
 def test_folder_must_exist(tmp_path):
     with pytest.raises(RecognizerError, match=r"cannot write log\.csv"):
         Training(PlaceNetwork(TINY, 4), Boards(), TrainingConfig(), tmp_path / "none")
+
+
+def test_views_are_other_ones_in_each_step(tmp_path):
+    training, _ = _train(tmp_path / "run", max_steps=1, augmentation=Augmentation())
+    images = np.array([[0, 0, 3]])
+    first, again, other = (training._learner._views(images, np.array([0]), s) for s in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first[0], first[1])  # nor are those of an image that stands there twice
+    assert not torch.equal(first[0], other[0])
