@@ -127,7 +127,7 @@ class MapConfig(Section):
 
     write: bool = True
     """Write map.ply."""
-    voxel_m: PositiveFloat = 0.01
+    voxel_m: Annotated[float, Field(ge=1e-4, allow_inf_nan=False)] = 0.01
     """Edge of the grid cells that points are merged in."""
     max_depth_m: PositiveFloat = 4.0
     """Depth beyond this is left out of the cloud."""
