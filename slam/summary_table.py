@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The short table that a run ends with in the terminal."""
 
+import math
 from pathlib import Path
 
 from slam.drift import DriftReport
@@ -27,18 +28,24 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
                 f"matched within {drift.tolerance_s * 1e3:.0f} ms,"
                 f" truth covers {drift.coverage:.1%}",
             ),
-            (
-                "RPE",
-                f"{before.rpe_translation_m:.4f} m -> {after.rpe_translation_m:.4f} m,"
-                f" {before.rpe_rotation_deg:.2f} deg -> {after.rpe_rotation_deg:.2f} deg"
-                f" over {drift.rpe_interval_s:g} s",
-            ),
+            ("RPE", _relative_error(drift)),
         ]
-    seconds = sum(result.stage_seconds.values())
-    rows.append(("speed", f"{(tracked + len(result.untracked_s)) / seconds:.1f} frames/s"))
+    if summary["frames_per_second"] is not None:
+        rows.append(("speed", f"{summary['frames_per_second']:.1f} frames/s"))
     rows += [("warning", warning) for warning in result.warnings]
     rows.append(("report", str(folder / "report.html")))
     return "\n".join(f"{name:<10} {text}" for name, text in rows)
+
+
+def _relative_error(drift: DriftReport) -> str:
+    before, after = drift.before, drift.after
+    if math.isnan(before.rpe_translation_m) or math.isnan(after.rpe_translation_m):
+        return f"unknown: no two compared frames are {drift.rpe_interval_s:g} s apart"
+    return (
+        f"{before.rpe_translation_m:.4f} m -> {after.rpe_translation_m:.4f} m,"
+        f" {before.rpe_rotation_deg:.2f} deg -> {after.rpe_rotation_deg:.2f} deg"
+        f" over {drift.rpe_interval_s:g} s"
+    )
 
 
 def _loops(summary: dict[str, object]) -> str:
