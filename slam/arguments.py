@@ -59,6 +59,6 @@ def parse(arguments: list[str]) -> Arguments:
 def _config_path(arguments: list[str]) -> Path | None:
     """Find --config before the rest is parsed: it holds the defaults of the other flags."""
     finder = ArgumentParser(add_help=False, allow_abbrev=False)
-    finder.add_argument("--config", type=Path)
+    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
     found: Path | None = finder.parse_known_args(arguments)[0].config
     return found
