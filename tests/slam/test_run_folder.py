@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+import errno
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import open3d as o3d
+import pytest
+
+from placerec.gradients import GradientRecognizer
+from slam import output_file
+from slam.config import Config, EvaluationConfig, MapConfig, load_config
+from slam.drift import compare_drift
+from slam.ledger import read_ledger
+from slam.run_folder import make_run_folder, write_run
+from slam.system import Slam
+from slam.trajectory import read_tum
+from slam.types import Camera, RelativePose, SlamError
+
+IN_ORDER = [
+    "trajectory.txt",
+    "odometry.txt",
+    "keyframes.txt",
+    "groundtruth.txt",
+    "loops.jsonl",
+    "pose_graph.g2o",
+    "settings.toml",
+    "summary.json",
+    "report.html",
+    "map.ply",
+]
+CONFIG = Config(map=MapConfig(voxel_m=0.05))
+
+
+@pytest.fixture(scope="module")
+def result(frames):
+    slam = Slam(Camera(320, 240, 262.5, 262.5, 159.5, 119.5), GradientRecognizer(), CONFIG)
+    for frame in frames:
+        slam.process(frame)
+    return slam.finish()
+
+
+@pytest.fixture(scope="module")
+def drift(result, sequence):
+    return compare_drift(
+        result.odometry,
+        result.trajectory,
+        sequence.ground_truth,
+        result.attempts,
+        result.keyframes,
+        EvaluationConfig(),
+    )
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, result, drift, sequence):
+    folder = tmp_path_factory.mktemp("run")
+    write_run(folder, result, drift, sequence.ground_truth, CONFIG, "small room")
+    return folder
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_every_file_is_there_and_nothing_else(written):
+    assert names(written) == sorted(IN_ORDER)
+
+
+def test_trajectories_are_read_back(written, result, sequence):
+    for name, poses in (
+        ("trajectory.txt", result.trajectory.T_world_cam),
+        ("odometry.txt", result.odometry.T_world_cam),
+        ("keyframes.txt", result.T_world_kf),
+        ("groundtruth.txt", sequence.ground_truth.T_world_cam),
+    ):
+        read = read_tum(written / name)
+        np.testing.assert_allclose(read.T_world_cam, poses, atol=1e-7)
+    times_s = [keyframe.timestamp_s for keyframe in result.keyframes]
+    np.testing.assert_allclose(read_tum(written / "keyframes.txt").timestamps_s, times_s)
+
+
+def test_gtsam_reads_the_graph_and_agrees_with_it(written, result):
+    graph, values = gtsam.readG2o(str(written / "pose_graph.g2o"), True)
+    kept = [each for each in result.attempts if each.weight is not None and each.weight > 0.5]
+    assert values.size() == len(result.keyframes)
+    assert graph.size() == len(result.links) + len(kept)
+    for keyframe, T_world_kf in zip(result.keyframes, result.T_world_kf, strict=True):
+        np.testing.assert_allclose(values.atPose3(keyframe.id).matrix(), T_world_kf, atol=1e-6)
+    first = result.links[0]
+    measured = graph.at(0).measured().matrix()
+    np.testing.assert_allclose(measured, first.motion.T_ref_query, atol=1e-6)
+    R = graph.at(0).noiseModel().R()
+    np.testing.assert_allclose(R.T @ R, first.motion.information, rtol=1e-4)
+
+
+def test_the_ledger_has_every_attempt(written, result):
+    records = read_ledger(written / "loops.jsonl")
+    assert [(each.query_id, each.match_id) for each in records] == [
+        (each.query_id, each.match_id) for each in result.attempts
+    ]
+
+
+def test_the_settings_are_those_of_the_run(written):
+    assert load_config(written / "settings.toml") == CONFIG
+
+
+def test_the_summary_is_json_with_the_drift(written, drift):
+    summary = json.loads((written / "summary.json").read_text())
+    assert summary["ate_after_m"] == pytest.approx(drift.after.ate_rmse_m)
+    assert summary["frames_tracked"] == 60
+
+
+def test_the_map_is_a_cloud_in_colour(written):
+    cloud = o3d.io.read_point_cloud(str(written / "map.ply"))
+    assert len(cloud.points) > 500 and cloud.has_colors()
+
+
+def test_the_report_is_one_page_with_its_title(written):
+    page = (written / "report.html").read_text()
+    assert page.rstrip().endswith("</html>") and "small room" in page
+
+
+def test_without_truth_or_map_their_files_are_left_out(tmp_path, result):
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, "small room")
+    assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt", "map.ply"})
+    assert json.loads((tmp_path / "summary.json").read_text())["ate_after_m"] is None
+
+
+def test_truth_that_could_not_be_compared_is_copied_all_the_same(tmp_path, result, sequence):
+    write_run(tmp_path, result, None, sequence.ground_truth, Config(), "small room")
+    assert names(tmp_path) == sorted(IN_ORDER)
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path, written, result, drift, sequence):
+    write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room")
+    for name in IN_ORDER:
+        assert (tmp_path / name).read_bytes() == (written / name).read_bytes(), name
+
+
+def test_an_outvoted_loop_is_in_the_ledger_but_not_in_the_graph(tmp_path, result):
+    motion = RelativePose(np.eye(4), np.eye(6))
+    loops = tuple(
+        replace(result.attempts[-1], outcome=motion, weight=weight) for weight in (1.0, 0.0)
+    )
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, replace(result, attempts=loops), None, None, config, "x")
+    assert [each.accepted for each in read_ledger(tmp_path / "loops.jsonl")] == [True, False]
+    graph, _ = gtsam.readG2o(str(tmp_path / "pose_graph.g2o"), True)
+    assert graph.size() == len(result.links) + 1
+
+
+@pytest.mark.parametrize("stops_at", IN_ORDER)
+def test_a_full_disk_leaves_the_files_before_it_whole(
+    tmp_path, monkeypatch, result, drift, sequence, written, stops_at
+):
+    sync, room = os.fsync, iter(IN_ORDER[: IN_ORDER.index(stops_at)])
+
+    def fsync(stream):
+        if next(room, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(stream)
+
+    monkeypatch.setattr(output_file.os, "fsync", fsync)
+    with pytest.raises(SlamError, match=f"cannot write {stops_at}: No space left") as error:
+        write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room")
+    assert "\n" not in str(error.value)
+    complete = IN_ORDER[: IN_ORDER.index(stops_at)]
+    assert names(tmp_path) == sorted(complete)
+    for name in complete:
+        assert (tmp_path / name).read_bytes() == (written / name).read_bytes()
+
+
+def test_a_run_folder_is_made_with_its_parents_and_left_empty(tmp_path):
+    folder = tmp_path / "runs" / "desk"
+    make_run_folder(folder)
+    make_run_folder(folder)
+    assert folder.is_dir() and names(folder) == []
+
+
+def test_an_earlier_run_is_not_touched_by_making_its_folder(tmp_path):
+    (tmp_path / "report.html").write_text("mine")
+    make_run_folder(tmp_path)
+    assert names(tmp_path) == ["report.html"]
+
+
+@pytest.mark.parametrize("inside", ["", "deeper"])
+def test_a_file_in_the_way_is_one_clear_line(tmp_path, inside):
+    (tmp_path / "taken").write_text("")
+    folder = tmp_path / "taken" / inside
+    with pytest.raises(SlamError, match=r"cannot write to the output folder .*--out") as error:
+        make_run_folder(folder)
+    assert "\n" not in str(error.value) and str(error.value).endswith(str(folder))
+
+
+def test_a_folder_that_may_not_be_written_to_is_one_clear_line(tmp_path, monkeypatch):
+    def touch(path):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(Path, "touch", touch)
+    with pytest.raises(SlamError, match="Permission denied"):
+        make_run_folder(tmp_path)
