@@ -127,6 +127,4 @@ def _nearest(times_s: FloatArray, among_s: FloatArray) -> NDArray[np.int64]:
     after = np.searchsorted(among_s, times_s).clip(max=len(among_s) - 1)
     before = (after - 1).clip(min=0)
     is_before = times_s - among_s[before] < among_s[after] - times_s
-    # Past the last one, `after` is the last itself and `before` is further away.
-    is_before &= times_s <= among_s[after]
     return np.where(is_before, before, after)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
+from placerec.certificate import read_certificate
 from placerec.cli import main
 
 
@@ -34,3 +35,63 @@ def test_bad_usage(arguments):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2
+
+
+GRADIENTS = "placerec.gradients:GradientRecognizer"
+
+
+@pytest.fixture
+def drives(tmp_path, write_image):
+    """Write two drives past five places, 5 images each; the second picture of ref/ is broken."""
+    for i in range(5):
+        write_image(tmp_path / f"drives/query/{i}.png", seed=i)
+        write_image(tmp_path / f"drives/ref/{i}.png", seed=i)
+    (tmp_path / "drives/ref/1.png").write_bytes(b"oh")
+    rows = "".join(f"{i},{i}\n" for i in range(5))
+    (tmp_path / "drives/ground_truth.csv").write_text(f"query,refs\n{rows}")
+    return str(tmp_path / "drives")
+
+
+def test_evaluate_prints_a_table_and_names_what_it_skipped(drives, capsys):
+    assert main(["evaluate", drives, drives, "--recognizers", GRADIENTS]) == 0
+    shown = capsys.readouterr()
+    assert "drives: 9 images (1 skipped), 20 pairs count, 4 of them show one place" in shown.out
+    assert "4 of 5 queries have a match" in shown.out
+    rows = [line for line in shown.out.splitlines() if line.startswith(f"| drives | {GRADIENTS} |")]
+    assert len(rows) == 2
+    assert [cell.strip() for cell in rows[0].split("|")[3:5]] == ["1.000", "1.000"]
+    assert f"skipped: not a readable image: {drives}/ref/1.png" in shown.err
+
+
+def test_calibrate_writes_a_certificate(drives, tmp_path, capsys):
+    out = tmp_path / "gradients.json"
+    assert main(["calibrate", drives, "--recognizer", GRADIENTS, "--out", str(out)]) == 0
+    certificate = read_certificate(out)
+    assert certificate.recognizer == GRADIENTS
+    assert (certificate.pairs, certificate.skipped, certificate.recall) == (20, 1, 1.0)
+    assert f"threshold {certificate.threshold:.4f} (95 % interval " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate"], "evaluate needs at least one folder"),
+        (["evaluate", "no-folder", "--recognizers", GRADIENTS], "there is no such folder"),
+        (["evaluate", "no-folder", "--recognizers", "bogus"], "there is no recognizer 'bogus'"),
+        (["calibrate", "x", "--recognizer", GRADIENTS, "--out", "y"], "there is no such folder"),
+    ],
+)
+def test_bad_input_is_one_line_and_code_2(arguments, message, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"placerec: {message}")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate"])
+def test_help_shows_an_example_or_what_is_needed(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([command, "--help"])
+    assert caught.value.code == 0
+    shown = capsys.readouterr().out
+    assert "MODULE:CLASS" in shown or f"Example: placerec {command} " in shown

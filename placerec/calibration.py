@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The threshold from which two images are taken for one place."""
+
+import hashlib
+import inspect
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.certificate import USUALLY_OUTSIDE, Certificate
+from placerec.datasets import PlaceDataset
+from placerec.evaluation import Curve, Embeddings, Similarities, compare, pair_curve
+from placerec.recognizer import PlaceRecognizer, RecognizerError
+
+RESAMPLES = 1000
+CONFIDENCE = 0.95
+CURVE_POINTS = 200
+BLOCK = 4096
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """M pairs of images by falling similarity: (M,) image indices of each side."""
+
+    similarities: Similarities
+    query: Indices
+    reference: Indices
+
+    def weights(self, drawn: Indices, part: slice = slice(None)) -> Indices:
+        """Return how often each pair of a part occurs when image i is drawn (N,) times."""
+        return drawn[self.query[part]] * drawn[self.reference[part]]
+
+
+def calibrate(
+    name: str,
+    recognizer: PlaceRecognizer,
+    dataset: PlaceDataset,
+    embeddings: Embeddings,
+    seed: int = 0,
+) -> Certificate:
+    """Return the threshold with the largest recall among those without an error on a dataset.
+
+    Args:
+        name: what the recognizer was loaded by.
+        recognizer: the one that made the embeddings.
+        dataset: images that neither training nor a choice has seen.
+        embeddings: (N, D) of its images.
+        seed: of the bootstrap.
+
+    Raises:
+        RecognizerError: every threshold has an error, or the dataset shows nothing.
+    """
+    similarities = compare(embeddings, dataset)
+    curve = pair_curve(similarities, dataset)
+    right = _pairs(similarities, dataset, dataset.pairs & dataset.same_place)
+    wrong = _pairs(similarities, dataset, dataset.pairs & ~dataset.same_place)
+    clean = int((curve.precision == 1.0).sum())
+    if clean == 0:
+        raise RecognizerError(_no_threshold(name, dataset, wrong))
+    thresholds, recalls = _bootstrap(right, wrong, dataset, seed)
+    tails = [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0]
+    outside = [USUALLY_OUTSIDE / 2.0, 1.0 - USUALLY_OUTSIDE / 2.0]
+    counted = similarities[dataset.pairs]
+    return Certificate(
+        recognizer=name,
+        fingerprint=fingerprint(recognizer),
+        data=dataset.name,
+        images=len(dataset),
+        skipped=len(dataset.skipped),
+        pairs=counted.size,
+        same_place_pairs=right.similarities.size,
+        threshold=curve.thresholds[clean - 1],
+        highest_wrong=wrong.similarities[0],
+        recall=curve.recall_at_full_precision,
+        threshold_interval=tuple(np.quantile(thresholds, tails)),
+        recall_interval=tuple(np.quantile(recalls, tails)),
+        resampled="images" if dataset.places is None else "places",
+        resamples=RESAMPLES,
+        without_threshold=RESAMPLES - len(thresholds),
+        seed=seed,
+        similarity_range=tuple(np.quantile(counted, outside)),
+        curve=_thinned(curve, clean - 1),
+    )
+
+
+def fingerprint(recognizer: PlaceRecognizer) -> str:
+    """Return the recognizer's `fingerprint`, or where it has none, the hash of its source file.
+
+    A recognizer with weights has a member `fingerprint: str` that changes when they do.
+
+    Raises:
+        RecognizerError: it has no fingerprint and no source file.
+    """
+    own = getattr(recognizer, "fingerprint", None)
+    if isinstance(own, str):
+        return own
+    kind = type(recognizer)
+    try:
+        source = Path(inspect.getfile(kind)).read_bytes()
+    except (TypeError, OSError) as error:
+        raise RecognizerError(
+            f"recognizer {kind.__name__!r} has no source file to tell versions of it apart; "
+            "give it a member fingerprint: str"
+        ) from error
+    return f"sha256:{hashlib.sha256(source).hexdigest()}"
+
+
+def _pairs(similarities: Similarities, dataset: PlaceDataset, chosen: NDArray[np.bool_]) -> _Pairs:
+    rows, columns = np.nonzero(chosen)
+    order = np.argsort(-similarities[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    return _Pairs(similarities[rows, columns], dataset.queries[rows], dataset.references[columns])
+
+
+def _no_threshold(name: str, dataset: PlaceDataset, wrong: _Pairs) -> str:
+    first, second = (dataset.paths[side[0]] for side in (wrong.query, wrong.reference))
+    return (
+        f"no threshold keeps {name} free of errors on {dataset.name}: its most similar pair, at "
+        f"{wrong.similarities[0]:.4f}, is of different places; if it is not, correct the ground "
+        f"truth: {first} and {second}"
+    )
+
+
+def _bootstrap(
+    right: _Pairs, wrong: _Pairs, dataset: PlaceDataset, seed: int
+) -> tuple[list[float], list[float]]:
+    """Return the threshold of each resample that has one, and the recall of each."""
+    thresholds, recalls = [], []
+    for drawn in _draws(dataset, seed):
+        weights = right.weights(drawn)
+        above = right.similarities > _highest_drawn(wrong, drawn)
+        recalls.append(float(weights[above].sum() / max(1, weights.sum())))
+        recognised = right.similarities[above & (weights > 0)]
+        if recognised.size:
+            thresholds.append(float(recognised[-1]))
+    return thresholds, recalls
+
+
+def _draws(dataset: PlaceDataset, seed: int) -> Iterator[Indices]:
+    """Yield how often each of the (N,) images is drawn in each resample.
+
+    Whole places where they are known: images of one place are alike, and drawn one by one they
+    would make the interval too narrow.
+    """
+    rng = np.random.default_rng(seed)
+    units = np.arange(len(dataset)) if dataset.places is None else dataset.places
+    _, unit = np.unique(units, return_inverse=True)
+    count = int(unit.max()) + 1
+    for _ in range(RESAMPLES):
+        yield np.bincount(rng.integers(count, size=count), minlength=count)[unit]
+
+
+def _highest_drawn(pairs: _Pairs, drawn: Indices) -> float:
+    for start in range(0, len(pairs.similarities), BLOCK):
+        present = np.flatnonzero(pairs.weights(drawn, slice(start, start + BLOCK)))
+        if present.size:
+            return float(pairs.similarities[start + present[0]])
+    return -np.inf
+
+
+def _thinned(curve: Curve, keep: int) -> tuple[tuple[float, float, float], ...]:
+    """Return points at even steps among those where the recall rises, and the one to keep."""
+    rises = np.flatnonzero(np.diff(curve.recall, prepend=0.0))
+    few = np.linspace(0, len(rises) - 1, min(CURVE_POINTS, len(rises))).astype(int)
+    return tuple(
+        (float(curve.thresholds[i]), float(curve.precision[i]), float(curve.recall[i]))
+        for i in np.union1d(rises[few], [keep])
+    )
