@@ -18,7 +18,7 @@ HEADER = (
     "values",
     "KiB",
     "embed ms",
-    "compare ms",
+    "compare µs",
 )
 NAMES = 2
 """So many columns are names, written from the left; the others are numbers."""
@@ -61,7 +61,7 @@ def _cells(row: Measured) -> tuple[str, ...]:
         f"{cost.dimension}",
         f"{cost.embedding_bytes / 1024:.1f}",
         f"{cost.embed_ms:.1f}",
-        f"{cost.compare_ms:.5f}",
+        f"{1e3 * cost.compare_ms:.3f}",
     )
 
 

@@ -16,5 +16,5 @@ def test_markdown_table_lines_up():
     assert len(lines) == 4
     cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
     assert len(cells) == len(HEADER)
-    assert " ".join(cells) == "a short 0.750 0.250 0.750 0.500 0.750 512 2.0 12.3 0.00012"
+    assert " ".join(cells) == "a short 0.750 0.250 0.750 0.500 0.750 512 2.0 12.3 0.123"
     assert set(lines[1]) == set("|-: ")
