@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Close loops on the poses of another odometry: yours, say, in a TUM trajectory file.
+
+    python examples/poses_from_elsewhere.py SEQUENCE [YOUR_ODOMETRY.txt]
+
+Only the images are taken from the sequence; nothing is tracked. Without a file, ground truth that
+is made to drift stands in for an odometry.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from placerec.recognizer import load
+from slam import se3
+from slam.config import Config, EvaluationConfig, GraphConfig, InputConfig
+from slam.datasets import Sequence, open_sequence, resolve
+from slam.drift import compare_drift
+from slam.system import Slam
+from slam.trajectory import associate, read_tum
+from slam.types import FloatArray, SlamError, SlamResult, Trajectory
+from slam.verdict import final_rejection
+
+KEYFRAME_M, KEYFRAME_DEG = 0.2, 15.0
+CONFIG = Config(
+    graph=GraphConfig(
+        # How far off your odometry is from one keyframe to the next: with less, loops that ask for
+        # a larger correction are outvoted; with more, they may bend good odometry.
+        outside_rotation_sigma_deg=1.0,
+        outside_translation_sigma_m=0.02,
+    )
+)
+
+
+def close_loops(sequence: Sequence, odometry: Trajectory) -> SlamResult:
+    """Hand every keyframe with its odometry pose to `Slam`, and let it correct them."""
+    slam = Slam(sequence.camera, load("gradients"), CONFIG)
+    for image, T_odom_cam in keyframes(sequence, odometry):
+        slam.add_keyframe(sequence.frame(image), T_odom_cam)
+    return slam.finish()
+
+
+def keyframes(sequence: Sequence, odometry: Trajectory) -> list[tuple[int, FloatArray]]:
+    """Pick the images, by index, before which the camera has moved or turned far enough."""
+    images = Trajectory(sequence.timestamps_s, np.tile(np.eye(4), (len(sequence), 1, 1)))
+    chosen: list[tuple[int, FloatArray]] = []
+    for image, row in zip(*associate(images, odometry, tolerance_s=0.02), strict=True):
+        T_odom_cam = odometry.T_world_cam[row]
+        if not chosen or is_far(se3.inverse(chosen[-1][1]) @ T_odom_cam):
+            chosen.append((int(image), T_odom_cam))
+    if not chosen:
+        raise SlamError("no image was taken within 20 ms of a pose; do both use one clock?")
+    return chosen
+
+
+def is_far(T_last_cam: FloatArray) -> bool:
+    """Return whether a camera that moved like this starts a new keyframe."""
+    turned_deg = np.degrees(se3.rotation_angle(T_last_cam))
+    return bool(se3.translation_norm(T_last_cam) > KEYFRAME_M or turned_deg > KEYFRAME_DEG)
+
+
+def corrected(odometry: Trajectory, result: SlamResult) -> Trajectory:
+    """Return every pose of the odometry, moved as the last keyframe before it was."""
+    T_odom_kf = np.array([keyframe.T_odom_cam for keyframe in result.keyframes])
+    T_world_odom = result.T_world_kf @ se3.inverse(T_odom_kf)
+    stamps_s = [keyframe.timestamp_s for keyframe in result.keyframes]
+    last = np.searchsorted(stamps_s, odometry.timestamps_s, side="right") - 1
+    return Trajectory(
+        odometry.timestamps_s, T_world_odom[np.maximum(last, 0)] @ odometry.T_world_cam
+    )
+
+
+def drifting(truth: Trajectory, seed: int = 0) -> Trajectory:
+    """Return what a poor odometry makes of the truth: every step is a little off, and it adds up.
+
+    Part of the error never changes, as a wrong calibration's, some 0.4 degrees and 15 mm a second.
+    """
+    rng = np.random.default_rng(seed)
+    unit = np.repeat([np.radians(0.25), 0.009], 3)  # rotation in rad, then translation in metres
+    bias = rng.normal(size=6)
+    steps = se3.inverse(truth.T_world_cam[:-1]) @ truth.T_world_cam[1:]
+    T_odom_cam = [truth.T_world_cam[0]]
+    for T_before_after, seconds in zip(steps, np.diff(truth.timestamps_s), strict=True):
+        noise = 0.3 * np.sqrt(seconds) * rng.normal(size=6)
+        T_odom_cam.append(
+            T_odom_cam[-1] @ T_before_after @ se3.exp(unit * (seconds * bias + noise))
+        )
+    return Trajectory(truth.timestamps_s, np.array(T_odom_cam))
+
+
+def main(name: str, odometry_file: str | None = None) -> None:
+    """Run on one sequence and print how much of the drift went away."""
+    sequence = open_sequence(resolve(name), InputConfig())
+    truth = sequence.ground_truth
+    if odometry_file:
+        odometry = read_tum(Path(odometry_file))
+    elif truth:
+        odometry = drifting(truth)
+    else:
+        raise SlamError("there is no ground truth to make drift; give an odometry file")
+    result = close_loops(sequence, odometry)
+    accepted = sum(final_rejection(attempt) is None for attempt in result.attempts)
+    print(f"{len(result.keyframes)} keyframes, {accepted} of {len(result.attempts)} loops closed")
+    print(*result.warnings, sep="\n", end="\n" if result.warnings else "")
+    if truth:
+        after, judged = corrected(odometry, result), (result.attempts, result.keyframes)
+        drift = compare_drift(odometry, after, truth, *judged, EvaluationConfig())
+        print(f"ATE {drift.before.ate_rmse_m:.4f} m -> {drift.after.ate_rmse_m:.4f} m")
+
+
+if __name__ == "__main__":
+    try:
+        main(*sys.argv[1:3])
+    except SlamError as error:
+        sys.exit(str(error))
