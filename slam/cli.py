@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `run_slam` command: read a sequence, run the pipeline, write the run's folder."""
 
+import signal
 import sys
+import threading
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +34,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (SlamError, RecognizerError) as error:
         return _fail(str(error))
     except KeyboardInterrupt:
-        return _fail("interrupted before there was anything to write")
+        return _fail("interrupted before the outputs were complete")
     return 0
 
 
@@ -49,8 +51,8 @@ def _run(arguments: Arguments) -> None:
 
     recognizer = load(arguments.recognizer)
     folder = arguments.out or Path("runs") / Path(arguments.sequence).resolve().name
-    make_run_folder(folder)
     sequence = _open(arguments, folder)
+    make_run_folder(folder)
     slam = Slam(sequence.camera, recognizer, arguments.settings)
     stopped = _process(slam, sequence)
     if stopped and not slam.has_keyframes:
@@ -77,7 +79,10 @@ def _open(arguments: Arguments, folder: Path) -> "Sequence":
         with closing(_Bar("fetching", unit="B", unit_scale=True)) as bar:
             path = resolve(arguments.sequence, bar)
     print(f"reading {path}", file=sys.stderr)
-    return open_sequence(path, arguments.settings.input)
+    sequence = open_sequence(path, arguments.settings.input)
+    for warning in sequence.warnings:  # now, for they may tell why the run fails
+        print(f"warning: {warning}", file=sys.stderr)
+    return sequence
 
 
 def _render_demo(path: Path) -> None:
@@ -89,12 +94,38 @@ def _render_demo(path: Path) -> None:
 
 def _process(slam: "Slam", sequence: "Sequence") -> BaseException | None:
     """Feed all frames; return what stopped it early, so that the frames until then are kept."""
-    try:
-        for frame in _timed(slam, sequence):
-            slam.process(frame)
-    except (SlamError, RecognizerError, KeyboardInterrupt) as stopped:
-        return stopped
+    with _interrupts_between_frames() as interrupted:
+        try:
+            for frame in _timed(slam, sequence):
+                slam.process(frame)
+                if interrupted.is_set():
+                    return KeyboardInterrupt()
+        except (SlamError, RecognizerError) as stopped:
+            return stopped
     return None
+
+
+@contextmanager
+def _interrupts_between_frames() -> Iterator[threading.Event]:
+    """Let Ctrl-C wait for the frame at hand, for half a keyframe cannot be finished.
+
+    A second Ctrl-C does not wait.
+    """
+    interrupted = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupted  # signals go to the main thread, and only it may ask for them
+        return
+    usual = signal.getsignal(signal.SIGINT)
+
+    def note(*_: object) -> None:
+        interrupted.set()
+        signal.signal(signal.SIGINT, usual)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:

@@ -1,0 +1,520 @@
+# SPDX-License-Identifier: Apache-2.0
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from slam import output_file
+from slam.cli import main
+from slam.datasets import read_camera, write_camera
+from slam.trajectory import read_tum
+
+ROOT = Path(__file__).parents[2]
+OUTPUTS = [
+    *("groundtruth.txt", "keyframes.txt", "loops.jsonl", "map.ply", "odometry.txt"),
+    *("pose_graph.g2o", "report.html", "settings.toml", "summary.json", "trajectory.txt"),
+]
+QUICK = ("--map.write", "False")
+
+
+class Ran(NamedTuple):
+    code: int
+    out: str
+    err: str
+    folder: Path
+
+    @property
+    def complaint(self) -> str:
+        """Return the one line that the run ends with where it fails."""
+        assert self.code == 2, self.err
+        assert "Traceback" not in self.err
+        lines = [line for line in self.err.splitlines() if line.startswith("run_slam: ")]
+        assert len(lines) == 1 and self.err.endswith(lines[0] + "\n")
+        return lines[0].removeprefix("run_slam: ")
+
+    @property
+    def warnings(self) -> list[str]:
+        assert self.code == 0, self.err
+        return [
+            line.split(maxsplit=1)[1]
+            for line in self.out.splitlines()
+            if line.startswith("warning")
+        ]
+
+    @property
+    def frames(self) -> str:
+        return next(line for line in self.out.splitlines() if line.startswith("frames"))
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+
+
+@pytest.fixture
+def run_slam(tmp_path, monkeypatch, capsys):
+    """Run the command in this process, in an empty folder, with outputs going to ./out."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delenv("LOOPCLOSE_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("LOOPCLOSE_TUM_URL", "http://127.0.0.1:9")
+
+    def run(*arguments, out="out"):
+        code = main([*map(str, arguments), "--out", str(out)])
+        printed = capsys.readouterr()
+        return Ran(code, printed.out, printed.err, tmp_path / out)
+
+    return run
+
+
+def edit(path, change):
+    lines = path.read_text().splitlines()
+    path.write_text("".join(line + "\n" for line in change(lines)))
+
+
+def cut_off(path):
+    path.write_bytes(path.read_bytes()[:-2000])
+
+
+def images(folder, kind):
+    lines = (folder / f"{kind}.txt").read_text().splitlines()
+    return [folder / line.split()[1] for line in lines]
+
+
+# What a good run does
+
+
+@pytest.fixture(scope="module")
+def good(recording, tmp_path_factory):
+    """Return the folder and the outcome of a run over the whole recording, as a user starts it."""
+    folder = tmp_path_factory.mktemp("good")
+    command = [sys.executable, "-m", "slam.cli", str(recording), "--out", str(folder / "out")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    return Ran(done.returncode, done.stdout, done.stderr, folder / "out")
+
+
+def test_a_run_leaves_every_output_and_ends_with_a_table(good):
+    assert good.code == 0 and "Traceback" not in good.err
+    assert names(good.folder) == OUTPUTS
+    starts = [line.split()[0] for line in good.out.splitlines()]
+    assert starts[:4] == ["frames", "keyframes", "loops", "ATE"] and starts[-1] == "report"
+    assert good.frames.split(maxsplit=1)[1] == "60 of 60 tracked"
+    assert str(good.folder / "report.html") in good.out
+    summary = json.loads((good.folder / "summary.json").read_text())
+    assert summary["frames_tracked"] == 60 and summary["ate_after_m"] < 0.02
+
+
+def test_progress_and_what_is_read_are_on_stderr(good, recording):
+    assert f"reading {recording}" in good.err and "60/60" in good.err
+    assert "reading" not in good.out
+
+
+def test_the_time_to_read_is_a_stage_too(good):
+    summary = json.loads((good.folder / "summary.json").read_text())
+    assert list(summary["stage_seconds"]) == ["read", "track", "describe", "close loops", "graph"]
+
+
+def test_a_second_run_gives_the_same_bytes_from_its_own_settings(run_slam, recording, good):
+    again = run_slam(recording, "--config", good.folder / "settings.toml")
+    assert again.code == 0
+    for name in set(OUTPUTS) - {"summary.json", "report.html"}:  # those tell the time it took
+        assert (again.folder / name).read_bytes() == (good.folder / name).read_bytes(), name
+
+
+@pytest.mark.usefixtures("run_slam")  # for its empty folder
+def test_without_out_the_outputs_go_to_runs(short_recording, tmp_path):
+    assert main([str(short_recording(4)), *QUICK]) == 0
+    assert names(tmp_path / "runs") == ["short"]
+    assert "report.html" in names(tmp_path / "runs" / "short")
+
+
+def test_a_map_is_left_out_where_it_is_not_wanted(short_recording, run_slam):
+    ran = run_slam(short_recording(4), "--map.write", "False")
+    assert names(ran.folder) == [name for name in OUTPUTS if name != "map.ply"]
+
+
+def test_the_demo_is_rendered_once_into_the_run(monkeypatch, short_recording, run_slam):
+    rendered = short_recording(6)
+
+    def render(path, progress):
+        shutil.copytree(rendered, path)
+        progress(6, 6)
+
+    monkeypatch.setattr("slam.datasets.synthetic.render_sequence", render)
+    first = run_slam("demo", *QUICK)
+    assert first.code == 0 and "6 of 6 tracked" in first.out
+    assert (first.folder / "sequence" / "rgb.txt").is_file()
+    monkeypatch.setattr("slam.datasets.synthetic.render_sequence", None)
+    assert run_slam("demo", *QUICK).code == 0
+
+
+def test_a_short_name_finds_the_local_copy(monkeypatch, short_recording, run_slam, tmp_path):
+    short_recording(4, name="rgbd_dataset_freiburg1_desk")
+    monkeypatch.setenv("LOOPCLOSE_DATA", str(tmp_path))
+    assert "4 of 4 tracked" in run_slam("fr1_desk", *QUICK).out
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_hardly_any_frames_are_a_run_without_a_verdict(short_recording, run_slam, count):
+    ran = run_slam(short_recording(count))
+    assert names(ran.folder) == OUTPUTS
+    assert any("no ATE can be given" in warning for warning in ran.warnings)
+
+
+def test_help_is_quick_because_it_loads_nothing_heavy(tmp_path):
+    script = (
+        "import sys\n"
+        "from slam.cli import main\n"
+        "try:\n"
+        "    main(['--help'])\n"
+        "except SystemExit as exited:\n"
+        "    print(exited.code, sorted(sys.modules), file=sys.stderr)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "usage: run_slam" in done.stdout
+    assert done.stderr.startswith("0 ")
+    for heavy in ("torch", "open3d", "gtsam", "cv2", "matplotlib", "scipy", "sklearn"):
+        assert f"'{heavy}'" not in done.stderr
+
+
+# Sequences that cannot be read
+
+
+def test_a_folder_that_is_not_there(run_slam, tmp_path):
+    ran = run_slam(tmp_path / "nowhere")
+    assert str(tmp_path / "nowhere") in ran.complaint
+    assert not ran.folder.exists()  # a typing error leaves nothing to clear away
+
+
+def test_a_misspelt_short_name(run_slam):
+    assert "fr1_desk" in run_slam("fr1_desc").complaint
+
+
+def test_a_folder_that_is_no_recording(run_slam, tmp_path):
+    (tmp_path / "photos").mkdir()
+    assert "not a TUM RGB-D sequence" in run_slam(tmp_path / "photos").complaint
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "told"),
+    [
+        ("rgb.txt", lambda lines: [], "names no image"),
+        ("rgb.txt", lambda lines: ["# nothing"], "names no image"),
+        ("depth.txt", lambda lines: [*lines, "soon depth/1.png"], "line 5"),
+        ("depth.txt", lambda lines: [f"9{line}" for line in lines], "close enough in time"),
+        ("groundtruth.txt", lambda lines: [*lines, "1 2 3"], "line 61"),
+        ("groundtruth.txt", lambda lines: ["100 0 0 0 0 0 0 0"], "length zero"),
+        ("camera.toml", lambda lines: ["fx = "], "not valid TOML"),
+        ("camera.toml", lambda lines: [*lines[2:]], "is missing"),
+        ("camera.toml", lambda lines: [*lines[1:], "width = 640"], "320x240"),
+        ("camera.toml", lambda lines: [*lines[1:], "width = -320"], "width = -320"),
+    ],
+)
+def test_a_list_or_camera_that_is_wrong(run_slam, short_recording, name, change, told):
+    folder = short_recording(4)
+    edit(folder / name, change)
+    ran = run_slam(folder)
+    assert told in ran.complaint
+    assert not ran.folder.exists()
+
+
+def test_no_depth_near_in_time_tells_the_tolerance(run_slam, short_recording):
+    folder = short_recording(4)
+    edit(folder / "depth.txt", lambda lines: [line.replace(".", ".05", 1) for line in lines])
+    complaint = run_slam(folder, "--input.max-time-difference-s", "0.001").complaint
+    assert "0.001 s" in complaint and "--input.max-time-difference-s" in complaint
+
+
+def test_unsorted_and_duplicated_lists_are_mended_and_told(run_slam, short_recording):
+    folder = short_recording(6)
+    edit(folder / "rgb.txt", lambda lines: [*lines[::-1], lines[2]])
+    ran = run_slam(folder, *QUICK)
+    assert "6 of 6 tracked" in ran.frames
+    assert [w for w in ran.warnings if "rgb.txt is not in the order of time" in w]
+    assert [w for w in ran.warnings if "1 line(s) whose timestamp came before" in w]
+
+
+@pytest.mark.parametrize("kind", ["rgb", "depth"])
+@pytest.mark.parametrize("spoil", [Path.unlink, cut_off, lambda path: path.write_bytes(b"")])
+def test_a_broken_image_is_skipped_and_counted(run_slam, short_recording, kind, spoil):
+    folder = short_recording(8)
+    spoil(images(folder, kind)[3])
+    ran = run_slam(folder, *QUICK)
+    assert "7 of 7 tracked" in ran.frames
+    (warning,) = [w for w in ran.warnings if "skipped" in w]
+    assert warning.startswith("1 of 8 frames") and str(images(folder, kind)[3]) in warning
+
+
+def test_more_than_half_missing(run_slam, short_recording):
+    folder = short_recording(8)
+    for path in images(folder, "rgb")[:5]:
+        path.unlink()
+    assert "more than half of the 8 frames" in run_slam(folder).complaint
+
+
+def test_more_than_half_broken_keeps_what_came_before(run_slam, short_recording):
+    folder = short_recording(12)
+    for path in images(folder, "rgb")[5:]:
+        cut_off(path)
+    ran = run_slam(folder)
+    assert "more than half of the 12 frames" in ran.complaint
+    assert f"what was done until then is in {ran.folder.name}" in ran.complaint
+    assert names(ran.folder) == OUTPUTS
+    assert len(read_tum(ran.folder / "trajectory.txt")) == 5
+
+
+def shrink(path):
+    depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(path), depth[:-2])
+
+
+def test_depth_of_another_size(run_slam, short_recording):
+    folder = short_recording(4)
+    for path in images(folder, "depth"):
+        shrink(path)
+    complaint = run_slam(folder).complaint
+    assert "320x238 pixels but its colour image 320x240" in complaint
+
+
+def test_one_depth_image_of_another_size_keeps_what_came_before(run_slam, short_recording):
+    folder = short_recording(12)
+    shrink(images(folder, "depth")[9])
+    ran = run_slam(folder, *QUICK)
+    assert "320x238 pixels" in ran.complaint and "what was done until then" in ran.complaint
+    assert 1 <= len(read_tum(ran.folder / "trajectory.txt")) <= 9
+
+
+def test_images_without_anything_to_see(run_slam, short_recording):
+    folder = short_recording(4)
+    for path in images(folder, "rgb"):
+        cv2.imwrite(str(path), np.zeros((240, 320, 3), np.uint8))
+    ran = run_slam(folder)
+    assert "no frame could be tracked" in ran.complaint
+    assert names(ran.folder) == []
+
+
+# Ground truth and settings to doubt
+
+
+def test_without_truth_it_runs_and_says_that_there_is_no_ate(run_slam, short_recording):
+    folder = short_recording(6)
+    (folder / "groundtruth.txt").unlink()
+    ran = run_slam(folder)
+    assert "there is no ground truth, so no ATE can be given" in ran.warnings
+    assert names(ran.folder) == [name for name in OUTPUTS if name != "groundtruth.txt"]
+    assert "ATE   " not in ran.out
+    assert json.loads((ran.folder / "summary.json").read_text())["ate_after_m"] is None
+
+
+def test_truth_of_another_time_is_as_good_as_none(run_slam, short_recording):
+    folder = short_recording(6)
+    edit(folder / "groundtruth.txt", lambda lines: [f"9{line}" for line in lines])
+    ran = run_slam(folder, *QUICK)
+    assert any("no ATE can be given: only 0 of 6 poses" in warning for warning in ran.warnings)
+
+
+def test_truth_of_a_part_is_compared_there_and_the_share_told(run_slam, short_recording):
+    folder = short_recording(12)
+    edit(folder / "groundtruth.txt", lambda lines: lines[:6])
+    ran = run_slam(folder, *QUICK)
+    assert ran.code == 0 and "50.0% of frames" in ran.out and "truth covers 45.5%" in ran.out
+
+
+def test_a_depth_scale_that_cannot_be_right_is_doubted_with_what_was_seen(
+    run_slam, short_recording
+):
+    ran = run_slam(short_recording(6), "--input.depth-scale", "100000", *QUICK)
+    (doubt,) = [warning for warning in ran.warnings if "median depth" in warning]
+    assert "100000 units per metre" in doubt and "--input.depth-scale 5000" in doubt
+
+
+def test_doubts_are_told_even_if_nothing_can_be_tracked_because_of_them(run_slam, short_recording):
+    ran = run_slam(short_recording(6), "--input.depth-scale", "50", *QUICK)
+    assert "no frame could be tracked" in ran.complaint
+    assert "median depth" in ran.err and "--input.depth-scale 5000" in ran.err
+
+
+def test_intrinsics_that_cannot_be_right_are_doubted(run_slam, short_recording):
+    folder = short_recording(6)
+    camera = read_camera(folder / "camera.toml")
+    write_camera(folder / "odd.toml", type(camera)(**{**vars(camera), "fx": 30.0}))
+    ran = run_slam(folder, "--input.camera", folder / "odd.toml", *QUICK)
+    assert "field of view of 159 degrees" in ran.err
+    assert ran.code == 0 or ran.complaint
+
+
+# Recognizers
+
+
+@pytest.fixture
+def recognizer(tmp_path, request):
+    """Write a recognizer that answers well for some keyframes and then no more."""
+    name = f"places_{abs(hash(request.node.name))}"
+
+    def write(then, good=2):
+        (tmp_path / f"{name}.py").write_text(
+            "import os, signal\n"
+            "import numpy as np\n"
+            "class Mine:\n"
+            "    min_similarity = 0.5\n"
+            "    seen = 0\n"
+            "    def embed(self, image):\n"
+            "        self.seen += 1\n"
+            f"        if self.seen > {good}:\n"
+            f"            {then}\n"
+            "        return np.array([0.6, 0.8], np.float32)\n"
+        )
+        return f"{name}:Mine"
+
+    yield write
+    sys.modules.pop(name, None)
+
+
+def test_an_unknown_recognizer(run_slam, short_recording):
+    ran = run_slam(short_recording(4), "--recognizer", "gradient")
+    assert "no recognizer 'gradient'" in ran.complaint
+    assert not ran.folder.exists()
+
+
+@pytest.mark.parametrize("name", ["nowhere:Mine", "json:nothing", "a b:c", "json:dumps"])
+def test_a_recognizer_that_cannot_be_had(run_slam, short_recording, name):
+    assert "recognizer" in run_slam(short_recording(4), "--recognizer", name).complaint
+
+
+@pytest.mark.parametrize(
+    ("then", "told"),
+    [
+        ("return np.array([np.nan, 1.0])", "NaN or infinite"),
+        ("return np.eye(2)", "shape (2, 2)"),
+        ("return np.array([0.0, 0.6, 0.8])", "3 values after 2"),
+        ("return np.array([3.0, 4.0])", "length 5"),
+        ("raise ValueError('no more memory')", "ValueError: no more memory"),
+    ],
+)
+def test_a_recognizer_that_fails_late_costs_only_what_comes_after(
+    run_slam, recording, recognizer, then, told
+):
+    ran = run_slam(recording, "--recognizer", recognizer(then), *QUICK)
+    assert told in ran.complaint and "'Mine'" in ran.complaint
+    assert names(ran.folder) == [name for name in OUTPUTS if name != "map.ply"]
+    assert len(read_tum(ran.folder / "keyframes.txt")) == 2
+    assert f"stopped early: {ran.complaint.split(';')[0]}" in ran.out
+
+
+def test_a_recognizer_that_fails_at_once_leaves_nothing(run_slam, recording, recognizer):
+    ran = run_slam(recording, "--recognizer", recognizer("return None", good=0))
+    assert "shape ()" in ran.complaint
+    assert names(ran.folder) == []
+
+
+# Interruptions
+
+
+def test_ctrl_c_finishes_the_frame_and_writes_what_there_is(run_slam, recording, recognizer):
+    # The frame is a keyframe: its links and loops still come into the graph.
+    mine = recognizer("os.kill(os.getpid(), signal.SIGINT)", good=3)
+    before = signal.getsignal(signal.SIGINT)
+    ran = run_slam(recording, "--recognizer", mine)
+    assert ran.complaint == f"interrupted; what was done until then is in {ran.folder.name}"
+    assert names(ran.folder) == OUTPUTS
+    assert len(read_tum(ran.folder / "keyframes.txt")) == 4
+    assert "warning    the run stopped early: interrupted" in ran.out
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_ctrl_c_twice_does_not_wait_for_the_frame(run_slam, recording, recognizer):
+    mine = recognizer("[os.kill(os.getpid(), signal.SIGINT) for _ in range(2)]", good=3)
+    before = signal.getsignal(signal.SIGINT)
+    ran = run_slam(recording, "--recognizer", mine)
+    assert ran.complaint == "interrupted before the outputs were complete"
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_ctrl_c_from_a_terminal(recording, tmp_path):
+    command = [sys.executable, "-m", "slam.cli", str(recording), "--out", "out"]
+    places = (
+        "import pathlib, time\n"
+        "import numpy as np\n"
+        "class Slow:\n"
+        "    min_similarity = 0.5\n"
+        "    def embed(self, image):\n"
+        "        pathlib.Path('started').touch()\n"
+        "        time.sleep(0.3)\n"
+        "        return np.array([0.6, 0.8], np.float32)\n"
+    )
+    (tmp_path / "slow_places.py").write_text(places)
+    process = subprocess.Popen(
+        [*command, "--recognizer", "slow_places:Slow"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not (tmp_path / "started").exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    ran = Ran(process.returncode, out, err, tmp_path / "out")
+    assert ran.complaint == "interrupted; what was done until then is in out"
+    assert names(ran.folder) == OUTPUTS
+
+
+# Outputs that cannot be written
+
+
+@pytest.mark.parametrize("out", ["taken", "taken/deeper"])
+def test_an_output_folder_that_cannot_be(run_slam, short_recording, tmp_path, out):
+    (tmp_path / "taken").write_text("mine")
+    complaint = run_slam(short_recording(4), out=out).complaint
+    assert "cannot write to the output folder" in complaint and complaint.endswith(out)
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+def test_a_full_disk_keeps_what_was_written(run_slam, short_recording, monkeypatch):
+    sync, room = os.fsync, iter(range(5))
+
+    def fsync(stream):
+        if next(room, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(stream)
+
+    monkeypatch.setattr(output_file.os, "fsync", fsync)
+    ran = run_slam(short_recording(6))
+    assert "No space left on device" in ran.complaint
+    assert len(names(ran.folder)) == 5 and "trajectory.txt" in names(ran.folder)
+    assert len(read_tum(ran.folder / "trajectory.txt")) == 6
+
+
+# Settings
+
+
+def test_a_bad_settings_file(run_slam, short_recording, tmp_path):
+    (tmp_path / "mine.toml").write_text("[verification]\nmin_inlers = 3\n")
+    complaint = run_slam(short_recording(4), "--config", "mine.toml").complaint
+    assert "no setting verification.min_inlers" in complaint and complaint.endswith("mine.toml")
+
+
+def test_a_flag_out_of_range_exits_with_2(run_slam, capsys):
+    with pytest.raises(SystemExit) as exited:
+        run_slam("demo", "--verification.min-inliers", "0")
+    assert exited.value.code == 2
+    err = capsys.readouterr().err
+    assert "min_inliers" in err and "greater than 0" in err and "Traceback" not in err
