@@ -488,6 +488,16 @@ def test_an_output_folder_that_cannot_be(run_slam, short_recording, tmp_path, ou
     assert (tmp_path / "taken").read_text() == "mine"
 
 
+def test_a_recording_is_never_written_into(run_slam, short_recording, tmp_path):
+    folder = short_recording(4)
+    truth = (folder / "groundtruth.txt").read_bytes()
+    (tmp_path / "link").symlink_to(folder)
+    for out in (folder, tmp_path / "link", "short/../short"):
+        assert "replace the sequence's own files" in run_slam(folder, out=out).complaint
+    assert (folder / "groundtruth.txt").read_bytes() == truth
+    assert "trajectory.txt" not in names(folder)
+
+
 def test_a_full_disk_keeps_what_was_written(run_slam, short_recording, monkeypatch):
     sync, room = os.fsync, iter(range(5))
 
