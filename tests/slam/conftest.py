@@ -10,12 +10,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from placerec.gradients import GradientRecognizer
 from slam import se3
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
 from slam.datasets.synthetic import render_sequence
 from slam.features import back_project
-from slam.types import Camera, Features, FloatArray, Frame
+from slam.system import Slam
+from slam.types import Camera, Features, FloatArray, Frame, SlamResult
 
 SHARED_DATA = Path(__file__).parents[2] / "../shared/data"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -62,6 +64,15 @@ def T_first_cam(sequence: Sequence) -> FloatArray:
     assert sequence.ground_truth is not None
     T_truth_cam = sequence.ground_truth.T_world_cam
     return se3.inverse(T_truth_cam[0]) @ T_truth_cam
+
+
+@pytest.fixture(scope="session")
+def room_run(frames: list[Frame]) -> SlamResult:
+    """Return the result of the pipeline with its default settings on the whole recording."""
+    slam = Slam(SMALL_CAMERA, GradientRecognizer())
+    for frame in frames:
+        slam.process(frame)
+    return slam.finish()
 
 
 @pytest.fixture

@@ -10,15 +10,13 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from placerec.gradients import GradientRecognizer
 from slam import output_file
 from slam.config import Config, EvaluationConfig, MapConfig, load_config
 from slam.drift import compare_drift
 from slam.ledger import read_ledger
 from slam.run_folder import make_run_folder, write_run
-from slam.system import Slam
 from slam.trajectory import read_tum
-from slam.types import Camera, RelativePose, SlamError
+from slam.types import RelativePose, SlamError
 
 IN_ORDER = [
     "trajectory.txt",
@@ -36,11 +34,8 @@ CONFIG = Config(map=MapConfig(voxel_m=0.05))
 
 
 @pytest.fixture(scope="module")
-def result(frames):
-    slam = Slam(Camera(320, 240, 262.5, 262.5, 159.5, 119.5), GradientRecognizer(), CONFIG)
-    for frame in frames:
-        slam.process(frame)
-    return slam.finish()
+def result(room_run):
+    return room_run
 
 
 @pytest.fixture(scope="module")
