@@ -45,6 +45,7 @@ class Run:
     """One run: what it cost, its summary.json, and the bytes that no other run may change."""
 
     seconds: float
+    cpu_s: float
     peak_memory_mb: float
     summary: dict[str, Any]
     outputs: tuple[bytes, ...]
@@ -69,8 +70,8 @@ class Measured:
     rendering_s: float | None = None
 
 
-def run_python(arguments: list[str], log: Path) -> tuple[float, float]:
-    """Run Python to its end and return the seconds and the peak memory in MB that it took.
+def run_python(arguments: list[str], log: Path) -> tuple[float, float, float]:
+    """Run Python to its end and return what it took: seconds, CPU seconds, peak memory in MB.
 
     Raises:
         ProcessError: it ended with an error.
@@ -86,7 +87,7 @@ def run_python(arguments: list[str], log: Path) -> tuple[float, float]:
         words = log.read_text(errors="replace").strip()
         raise ProcessError(words.splitlines()[-1] if words else f"exit code {process.returncode}")
     units_per_mb = 1024.0 if sys.platform == "linux" else 1024.0**2  # macOS counts bytes
-    return seconds, usage.ru_maxrss / units_per_mb
+    return seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / units_per_mb
 
 
 def measure(name: str, sequence: str, recognizer: str, runs: int) -> Measured:
@@ -99,7 +100,7 @@ def measure(name: str, sequence: str, recognizer: str, runs: int) -> Measured:
         folder, log = Path(scratch) / "run", Path(scratch) / "log"
         rendering_s = None
         if sequence == DEMO:
-            rendering_s, _ = run_python(["-c", RENDER, str(folder / "sequence")], log)
+            rendering_s, *_ = run_python(["-c", RENDER, str(folder / "sequence")], log)
         command = ["-m", "slam.cli", sequence, "--out", str(folder), "--recognizer", recognizer]
         done = []
         for _ in range(runs):
@@ -135,6 +136,7 @@ def table(measured: list[Measured]) -> str:
         ("false loops among the accepted", _summary("{loops_false} of {loops_judged} judged")),
         ("frames/s, whole process", _median(lambda run: run.frames / run.seconds)),
         *((f"ms per frame: {stage}", _median(_stage_ms(stage))) for stage in stages),
+        ("CPU seconds, whole process", _median(lambda run: run.cpu_s)),
         ("seconds for start-up, report, map", _median(lambda run: run.unstaged_s)),
         ("seconds for rendering, apart", lambda measured: _text(measured.rendering_s)),
         ("peak memory, MB", _median(lambda run: run.peak_memory_mb)),

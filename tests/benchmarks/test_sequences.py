@@ -33,7 +33,7 @@ def run(benchmark):
         }
         summary |= {"loops_false": None, "loops_judged": None, "rpe_interval_s": 1.0}
         summary |= {"stage_seconds": {"track": 2.0}, "stage_ms_per_frame": {"track": 100.0}}
-        return benchmark.Run(seconds, 300.0, summary, outputs)
+        return benchmark.Run(seconds, 2 * seconds, 300.0, summary, outputs)
 
     return make
 
@@ -70,6 +70,7 @@ def test_speed_is_of_the_whole_process_and_costs_are_medians(benchmark, run):
     runs = [run(4.0), run(10.0), run(5.0)]
     found = rows(benchmark.table([benchmark.Measured("made-up", runs)]))
     assert found["frames/s, whole process"] == ["4.0 (2.0-5.0)"]
+    assert found["CPU seconds, whole process"] == ["10.0 (8.0-20.0)"]
     assert found["seconds for start-up, report, map"] == ["3.0 (2.0-8.0)"]
     assert found["ms per frame: track"] == ["100.0 (100.0-100.0)"]
 
