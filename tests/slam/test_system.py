@@ -72,10 +72,6 @@ def test_the_corrected_path_is_near_the_truth(result, sequence):
     assert not any(loop.is_false for loop in drift.loops)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="where no motion is in doubt, the robust solver keeps the weights it began with",
-)
 def test_loops_that_agree_with_the_odometry_are_believed(result):
     accepted = [attempt for attempt in result.attempts if attempt.is_accepted]
     assert len(accepted) > 5

@@ -96,6 +96,20 @@ def test_false_loops_are_left_out_and_do_not_bend_the_map(walk: Walk) -> None:
     assert walk.rmse_m(solution.T_world_kf) < 0.5 * walk.rmse_m(walk.dead_reckoning())
 
 
+def test_loops_that_contradict_nothing_are_believed(walk: Walk) -> None:
+    graph = PoseGraph(GraphConfig())
+    for i, T_world_cam in enumerate(walk.T_world_cam):
+        graph.add_keyframe(i, T_world_cam)
+    exact = RelativePose(se3.inverse(walk.T_world_cam[0]) @ walk.T_world_cam[1], INFORMATION)
+    for i in range(1, len(walk.T_world_cam)):
+        graph.add_link(Link(i - 1, i, exact))
+    graph.add_loop(0, 2, 32, walk.loop(2, 32))
+    graph.add_loop(1, 5, 35, walk.loop(5, 35))
+    solution = graph.finish()
+    assert solution.weights == {0: 1.0, 1: 1.0}
+    assert solution.warnings == ()
+
+
 def test_all_false_loops_are_ignored_aloud(walk: Walk) -> None:
     graph = walk.graph()
     close(graph, walk, false_every=1)
