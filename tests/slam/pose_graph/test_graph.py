@@ -103,8 +103,9 @@ def test_loops_that_contradict_nothing_are_believed(walk: Walk) -> None:
     exact = RelativePose(se3.inverse(walk.T_world_cam[0]) @ walk.T_world_cam[1], INFORMATION)
     for i in range(1, len(walk.T_world_cam)):
         graph.add_link(Link(i - 1, i, exact))
-    graph.add_loop(0, 2, 32, walk.loop(2, 32))
-    graph.add_loop(1, 5, 35, walk.loop(5, 35))
+    for key, (ref_id, query_id) in enumerate([(2, 32), (5, 35)]):
+        T_ref_query = se3.inverse(walk.T_world_cam[ref_id]) @ walk.T_world_cam[query_id]
+        graph.add_loop(key, ref_id, query_id, RelativePose(T_ref_query, INFORMATION))
     solution = graph.finish()
     assert solution.weights == {0: 1.0, 1: 1.0}
     assert solution.warnings == ()
