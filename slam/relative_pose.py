@@ -55,6 +55,8 @@ def estimate_relative_pose(
 
 @dataclass(frozen=True)
 class _Estimate:
+    """A motion and who agrees; the Hessian is zero where too few agree for a refinement."""
+
     T_ref_query: FloatArray
     hessian: FloatArray
     inlier_mask: NDArray[np.bool_]
@@ -72,19 +74,18 @@ def _estimate(
         return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed)
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
     found = _ransac(points_m, pixels, camera, config)
-    if found is None or np.count_nonzero(found[1]) < _MIN_FOR_POSE:
-        inliers = 0 if found is None else int(np.count_nonzero(found[1]))
-        return Rejection(RejectionReason.NO_POSE, inliers, _MIN_FOR_POSE)
+    if found is None:
+        return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers)
     T_ref_query, inlier_mask = found
+    hessian = np.zeros((6, 6))
     correspondences = Correspondences.of(reference, query, pairs, camera)
-    # RANSAC's pose comes from four matches; the refined pose knows better which others agree.
-    T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
-    lengths = residual_lengths(T_ref_query, correspondences, camera)
-    inlier_mask = lengths < config.max_reprojection_px
-    if np.count_nonzero(inlier_mask) < _MIN_FOR_POSE:
-        inliers = int(np.count_nonzero(inlier_mask))
-        return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
-    T_ref_query, hessian = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+    if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
+        # RANSAC's pose comes from four matches; a refined one knows better which others agree.
+        T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+        lengths = residual_lengths(T_ref_query, correspondences, camera)
+        inlier_mask = lengths < config.max_reprojection_px
+    if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
+        T_ref_query, hessian = refine(T_ref_query, correspondences.select(inlier_mask), camera)
     return _Estimate(T_ref_query, hessian, inlier_mask)
 
 
@@ -117,8 +118,9 @@ def _judge(
     if isinstance(estimate, Rejection):
         return estimate
     inliers = int(np.count_nonzero(estimate.inlier_mask))
-    if inliers < config.min_inliers:
-        return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
+    needed = max(config.min_inliers, _MIN_FOR_POSE)
+    if inliers < needed:
+        return Rejection(RejectionReason.FEW_INLIERS, inliers, needed)
     ratio = inliers / len(pixels)
     if ratio < config.min_inlier_ratio:
         return Rejection(RejectionReason.LOW_INLIER_RATIO, ratio, config.min_inlier_ratio)

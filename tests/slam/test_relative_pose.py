@@ -150,8 +150,15 @@ def test_a_blank_image_matches_nothing(make_views, empty):
 
 def test_no_pose(make_views):
     outcome = rejection(make_views(T_REF_QUERY, 0, outliers=30))
-    assert outcome.reason is RejectionReason.NO_POSE
-    assert 0 <= outcome.measured < outcome.needed == 6
+    assert outcome == Rejection(RejectionReason.NO_POSE, 0, 25)
+
+
+@pytest.mark.parametrize("agreeing", [5, 8, 20])
+def test_the_evidence_counts_as_many_inliers_as_the_rejection(make_views, agreeing):
+    views = make_views(T_REF_QUERY, agreeing, outliers=30)
+    found = estimate(views)
+    assert isinstance(found.outcome, Rejection)
+    assert found.outcome.measured == np.count_nonzero(found.inlier_mask)
 
 
 def test_few_inliers(make_views):
