@@ -148,16 +148,17 @@ def cells_of(pixels):
     return [tuple(cell) for cell in (pixels // 40).astype(int)]
 
 
-def strongest(frame, count):
+def corners(frame, count):
+    """Return the pixels and the strengths of the strongest corners by OpenCV's own choice."""
     orb = cv2.ORB.create(nfeatures=count, edgeThreshold=19, fastThreshold=CONFIG.fast_threshold)
-    grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
-    return np.array([keypoint.pt for keypoint in orb.detect(grey, None)])
+    found = orb.detect(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY), None)
+    return np.array([each.pt for each in found]), np.array([each.response for each in found])
 
 
 def test_features_are_spread_over_the_image_not_crowded_where_it_is_sharpest(frames):
     frame = frames[0]
     spread = cells_of(extract(frame, FeaturesConfig(count=200)).pixels)
-    crowded = cells_of(strongest(frame, 200))
+    crowded = cells_of(corners(frame, 200)[0])
     assert len(set(spread)) > 1.1 * len(set(crowded))
     assert max(Counter(spread).values()) < 0.8 * max(Counter(crowded).values())
 
@@ -165,10 +166,21 @@ def test_features_are_spread_over_the_image_not_crowded_where_it_is_sharpest(fra
 def test_no_cell_is_left_out_while_another_has_two(frames):
     features = extract(frames[0], FeaturesConfig(count=100))
     counts = Counter(cells_of(features.pixels))
-    offered = Counter(cells_of(strongest(frames[0], 200)))
+    offered = Counter(cells_of(corners(frames[0], 200)[0]))
     assert set(counts) == set(offered)
     fullest = max(counts.values())
     assert all(counts[cell] >= min(offered[cell], fullest - 1) for cell in offered)
+
+
+def test_of_each_cell_the_strongest_are_taken(frames):
+    chosen = {tuple(px) for px in extract(frames[0], FeaturesConfig(count=100)).pixels}
+    pixels, strengths = corners(frames[0], 200)
+    is_chosen = np.array([tuple(px) in chosen for px in pixels])
+    assert is_chosen.sum() >= 100
+    cells = np.array(cells_of(pixels))
+    for cell in np.unique(cells[~is_chosen], axis=0):
+        inside = (cells == cell).all(axis=1)
+        assert strengths[inside & is_chosen].min() >= strengths[inside & ~is_chosen].max()
 
 
 @pytest.mark.parametrize("scale_factor", [1.2, 2.0])
@@ -196,6 +208,13 @@ def test_matches_are_mutual_nearest_and_near_enough():
     table = np.unpackbits(unique.descriptors[:, None] ^ b.descriptors[None], axis=2).sum(axis=2)
     for i, j in near:
         assert table[i, j] == table[i].min() == table[:, j].min()
+
+
+def test_a_feature_is_in_one_match_only():
+    a, b = extract(frame_of(blocks())), extract(frame_of(blocks(seed=9)))
+    pairs = match(a, b, 256)
+    assert 0 < len(pairs) < min(len(a.pixels), len(b.pixels))
+    assert len(set(pairs[:, 0])) == len(set(pairs[:, 1])) == len(pairs)
 
 
 def test_nothing_matches_nothing():

@@ -8,15 +8,16 @@ import pytest
 from slam import odometry, se3
 from slam.config import Config, OdometryConfig
 from slam.odometry import RgbdOdometry, TrackedFrame
+from slam.relative_pose import allow_for_turning
 from slam.types import (
     Camera,
-    Frame,
     Rejection,
     RejectionReason,
     RelativePose,
     Verification,
 )
 
+INFORMATION = np.diag([1e6] * 3 + [1e5] * 3)
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 
 
@@ -162,7 +163,7 @@ def motion(translation_m=0.0, turn_deg=0.0):
 def scripted(frames, monkeypatch):
     """Return a run in which geometry sees the given (T_kf_cam, inliers), frame by frame."""
 
-    def track(script, config=None):
+    def track(script, config=None, count=None):
         answers = iter(script)
 
         def answer(reference, query, camera, config):
@@ -171,13 +172,12 @@ def scripted(frames, monkeypatch):
                 return Verification(told, np.zeros((0, 4)), np.zeros(0, bool))
             T_ref_query, inliers = told
             mask = np.arange(200) < inliers
-            return Verification(RelativePose(T_ref_query, np.eye(6)), np.zeros((200, 4)), mask)
+            return Verification(RelativePose(T_ref_query, INFORMATION), np.zeros((200, 4)), mask)
 
         monkeypatch.setattr(odometry, "estimate_relative_pose", answer)
-        settings = OdometryConfig(links=0, **(config or {}))
-        stamped = [
-            Frame(float(i), frames[0].rgb, frames[0].depth_m) for i in range(len(script) + 1)
-        ]
+        settings = OdometryConfig(**{"links": 0, **(config or {})})
+        count = count or len(script) + 1
+        stamped = [replace(frames[0], timestamp_s=float(i)) for i in range(count)]
         return run(stamped, Config(odometry=settings))
 
     return track
@@ -227,8 +227,34 @@ def test_poses_chain_through_keyframes(scripted):
 
 
 def test_the_rejection_told_is_that_of_the_latest_keyframe(scripted):
-    told = Rejection(RejectionReason.NO_POSE, 3, 6)
+    told, other = (Rejection(RejectionReason.NO_POSE, inliers, 6) for inliers in (3, 4))
     assert scripted([told])[-1] == told
+    far = motion(translation_m=0.3), 100
+    assert scripted([far, told, other], {"links": 1}, count=3)[-1] == told
+
+
+def test_a_link_knows_how_fast_both_its_cameras_turned(scripted):
+    turn = motion(turn_deg=18.0)
+    tracked = scripted([(turn, 100), (turn, 100)])
+    turning_rad_s = np.radians(18.0)
+    for each, before_rad_s in zip(tracked[1:], (0.0, turning_rad_s), strict=True):
+        assert each.new_keyframe.turning_rad_s == pytest.approx(turning_rad_s)
+        expected = allow_for_turning(RelativePose(turn, INFORMATION), before_rad_s, turning_rad_s)
+        np.testing.assert_allclose(each.links[0].motion.information, expected.information)
+
+
+def test_turning_is_measured_from_frame_to_frame(scripted):
+    tracked = scripted([(motion(turn_deg=10.0), 100), (motion(turn_deg=16.0), 100)])
+    assert tracked[-1].new_keyframe.turning_rad_s == pytest.approx(np.radians(6.0))
+
+
+def test_a_keyframe_lies_where_its_links_agree_on(scripted):
+    # The last keyframe says 30 cm further on, the one before it 2 cm more: the mean is taken.
+    far, further = motion(translation_m=0.3), motion(translation_m=0.62)
+    tracked = scripted([(far, 100), (far, 100), (further, 100)], {"links": 1}, count=3)
+    assert [link.ref_id for link in tracked[2].links] == [1, 0]
+    np.testing.assert_allclose(tracked[2].new_keyframe.T_odom_cam[0, 3], 0.61, atol=1e-9)
+    np.testing.assert_array_equal(tracked[2].links[1].motion.T_ref_query, further)
 
 
 def test_standing_still_makes_no_keyframes(frames):

@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slam import se3
+from slam import relative_pose, se3
 from slam.config import VerificationConfig
+from slam.features import match
+from slam.motion_refinement import Correspondences, refine
 from slam.relative_pose import allow_for_turning, estimate_relative_pose, translation_sigma_m
 from slam.types import Features, Rejection, RejectionReason, RelativePose
 
@@ -60,6 +62,18 @@ def test_noise_and_outliers_are_borne(make_views, outliers):
     error_m, error_deg = error_m_deg(verification.outcome, views)
     assert error_m < 0.01 and error_deg < 0.3
     assert 120 <= verification.inlier_mask.sum() <= 150 + 0.1 * outliers
+
+
+def test_the_motion_is_the_best_one_for_its_inliers(make_views):
+    views = make_views(T_REF_QUERY, 150, outliers=50, noise=1.0)
+    verification = estimate(views)
+    pairs = match(views.reference, views.query, CONFIG.max_descriptor_distance)
+    inliers = Correspondences.of(
+        views.reference, views.query, pairs[verification.inlier_mask], views.camera
+    )
+    found = verification.outcome.T_ref_query
+    better, _ = refine(found, inliers, views.camera)
+    np.testing.assert_allclose(better, found, atol=1e-6)
 
 
 def test_the_evidence_is_every_match_in_image_pixels(make_views):
@@ -231,6 +245,14 @@ def test_turning_costs_information_and_the_two_cameras_add_up():
     )
     np.testing.assert_array_equal(one.T_ref_query, motion.T_ref_query)
     np.testing.assert_array_equal(one.information, one.information.T)
+
+
+def test_turning_blurs_rotation_and_translation_each_by_its_own_rate(monkeypatch):
+    monkeypatch.setattr(relative_pose, "_ROTATION_PER_TURNING_S", 0.2)
+    monkeypatch.setattr(relative_pose, "_TRANSLATION_PER_TURNING_M_S", 0.03)
+    information = allow_for_turning(motion_of(1e12 * np.eye(6)), 1.0).information
+    sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(sigma, [0.2] * 3 + [0.03] * 3, rtol=1e-6)
 
 
 def test_turning_costs_variance_in_proportion_to_its_square():

@@ -7,10 +7,11 @@ import pytest
 
 from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
-from slam import se3
+from slam import se3, system
 from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig
 from slam.drift import compare_drift, trajectory_error
 from slam.odometry import TrackedFrame
+from slam.pose_graph import PoseGraph
 from slam.system import Slam
 from slam.types import Camera, Rejection, SlamError
 
@@ -100,6 +101,29 @@ def test_links_tie_every_keyframe_and_attempts_look_back(result):
     assert result.min_similarity == GradientRecognizer.min_similarity
 
 
+def test_all_links_and_accepted_loops_come_into_the_graph(frames, monkeypatch):
+    links, loops = [], []
+
+    class Spy(PoseGraph):
+        def add_link(self, link):
+            links.append(link)
+            super().add_link(link)
+
+        def add_loop(self, key, ref_id, query_id, motion):
+            loops.append((key, ref_id, query_id))
+            super().add_loop(key, ref_id, query_id, motion)
+
+    monkeypatch.setattr(system, "PoseGraph", Spy)
+    result = run(frames)
+    assert tuple(links) == result.links
+    assert loops == [
+        (key, attempt.match_id, attempt.query_id)
+        for key, attempt in enumerate(result.attempts)
+        if attempt.is_accepted
+    ]
+    assert len(loops) > 5
+
+
 def test_stages_are_in_the_order_of_the_pipeline(result):
     assert list(result.stage_seconds) == ["track", "describe", "close loops", "graph"]
     assert all(seconds > 0.0 for seconds in result.stage_seconds.values())
@@ -187,6 +211,15 @@ def test_trust_in_poses_from_elsewhere_is_a_setting(drifting):
     np.testing.assert_allclose(sigma, [np.radians(2.0)] * 3 + [0.05] * 3)
     T_first_second = se3.inverse(drifting[1][0]) @ drifting[1][1]
     np.testing.assert_allclose(result.links[0].motion.T_ref_query, T_first_second, atol=1e-12)
+
+
+def test_how_fast_a_camera_from_elsewhere_turned_is_worked_out(drifting):
+    result, _ = add_all(drifting)
+    T_before_after = se3.inverse(drifting[1][2]) @ drifting[1][3]
+    seconds = drifting[0][3].timestamp_s - drifting[0][2].timestamp_s
+    expected_rad_s = float(se3.rotation_angle(T_before_after)) / seconds
+    assert result.keyframes[0].turning_rad_s == 0.0
+    assert result.keyframes[3].turning_rad_s == pytest.approx(expected_rad_s)
 
 
 def test_a_start_away_from_the_origin_is_fine(drifting):
