@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output files that are either complete or not there at all."""
 
-import os
 from pathlib import Path
 
+from placerec import output_file
+from placerec.recognizer import RecognizerError
 from slam.types import SlamError
 
 
@@ -14,19 +15,7 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         SlamError: the folder is missing or not writable, the disk is full, or the like.
     """
     content = data.encode("utf-8") if isinstance(data, str) else data
-    # In the same folder, because a file can only be replaced atomically within one disk.
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        try:
-            with partial.open("wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())  # a full disk may only show up here
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise SlamError(
-            f"cannot write {path.name}: {error.strerror}; "
-            f"free the space, allow writing or choose another folder: {path}"
-        ) from error
+        output_file.write_atomically(path, content)
+    except RecognizerError as error:
+        raise SlamError(str(error)) from error

@@ -10,6 +10,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from slam.config import InputConfig, PositiveFloat, PositiveInt
+from slam.output_file import write_atomically
 from slam.types import Camera, SlamError
 
 CAMERA_FILE = "camera.toml"
@@ -102,13 +103,13 @@ def _describe(error: ValidationError) -> str:
 
 
 def write_camera(path: Path, camera: Camera) -> None:
-    """Write a camera as TOML that `read_camera` reads back exactly; atomic."""
+    """Write a camera as TOML that `read_camera` reads back exactly.
+
+    Raises:
+        SlamError: the file cannot be written.
+    """
     values = {
         key: list(value) if isinstance(value, tuple) else value
         for key, value in asdict(camera).items()
     }
-    unfinished = path.with_name(f".{path.name}.tmp")
-    unfinished.write_text(
-        "".join(f"{key} = {value!r}\n" for key, value in values.items()), encoding="utf-8"
-    )
-    unfinished.replace(path)
+    write_atomically(path, "".join(f"{key} = {value!r}\n" for key, value in values.items()))

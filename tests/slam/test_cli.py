@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import pytest
 
-from slam import output_file
 from slam.cli import main
 from slam.datasets import read_camera, write_camera
 from slam.trajectory import read_tum
@@ -506,7 +505,7 @@ def test_a_full_disk_keeps_what_was_written(run_slam, short_recording, monkeypat
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         sync(stream)
 
-    monkeypatch.setattr(output_file.os, "fsync", fsync)
+    monkeypatch.setattr(os, "fsync", fsync)
     ran = run_slam(short_recording(6))
     assert "No space left on device" in ran.complaint
     assert len(names(ran.folder)) == 5 and "trajectory.txt" in names(ran.folder)

@@ -10,7 +10,6 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from slam import output_file
 from slam.config import Config, EvaluationConfig, MapConfig, load_config
 from slam.drift import compare_drift
 from slam.ledger import read_ledger
@@ -160,7 +159,7 @@ def test_a_full_disk_leaves_the_files_before_it_whole(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         sync(stream)
 
-    monkeypatch.setattr(output_file.os, "fsync", fsync)
+    monkeypatch.setattr(os, "fsync", fsync)
     with pytest.raises(SlamError, match=f"cannot write {stops_at}: No space left") as error:
         write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room")
     assert "\n" not in str(error.value)
