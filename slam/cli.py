@@ -62,7 +62,15 @@ def _run(arguments: Arguments) -> None:
     if stopped:
         doubts = (f"the run stopped early: {_why(stopped)}", *doubts)
     result = replace(result, warnings=(*doubts, *sequence.warnings, *result.warnings))
-    write_run(folder, result, drift, sequence.ground_truth, arguments.settings, arguments.sequence)
+    write_run(
+        folder,
+        result,
+        drift,
+        sequence.ground_truth,
+        arguments.settings,
+        title=Path(arguments.sequence).resolve().name,
+        command=f"run_slam {arguments.sequence} --recognizer {arguments.recognizer}",
+    )
     print(summary_table(result, drift, folder))
     if stopped:
         raise SlamError(f"{_why(stopped)}; what was done until then is in {folder}")

@@ -45,27 +45,43 @@ def write_run(
     truth: Trajectory | None,
     config: Config,
     title: str,
+    command: str,
 ) -> None:
     """Write every output of a run; what cannot be computed again comes first.
+
+    Files that an earlier run left there and this one does not make are removed.
+
+    Args:
+        folder: as made by `make_run_folder`.
+        result: the run.
+        drift: its comparison with the truth, or None where there is none.
+        truth: true camera poses, or None where there are none.
+        config: the settings it ran with.
+        title: what the report calls it.
+        command: what was typed, settings apart; it heads settings.toml and the summary.
 
     Raises:
         SlamError: a file cannot be written; those before it are complete.
     """
-    settings = to_toml(config)
+    settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     write_tum(folder / "trajectory.txt", result.trajectory)
     write_tum(folder / "odometry.txt", result.odometry)
     write_tum(folder / "keyframes.txt", Trajectory(keyframe_s, result.T_world_kf))
     if truth is not None:
         write_tum(folder / "groundtruth.txt", truth)
+    else:
+        (folder / "groundtruth.txt").unlink(missing_ok=True)
     write_ledger(folder / "loops.jsonl", result, drift)
     write_g2o(folder / "pose_graph.g2o", result.T_world_kf, _motions(result))
     write_atomically(folder / "settings.toml", settings)
-    summary = json.dumps(summarise(result, drift), indent=2)
+    summary = json.dumps({"command": command, **summarise(result, drift)}, indent=2)
     write_atomically(folder / "summary.json", summary + "\n")
     write_report(folder / "report.html", result, drift, settings, title, truth)
     if config.map.write:
         write_map(folder / "map.ply", result, config.map)
+    else:
+        (folder / "map.ply").unlink(missing_ok=True)
 
 
 def _motions(result: SlamResult) -> list[Link]:

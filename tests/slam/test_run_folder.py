@@ -52,7 +52,7 @@ def drift(result, sequence):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory, result, drift, sequence):
     folder = tmp_path_factory.mktemp("run")
-    write_run(folder, result, drift, sequence.ground_truth, CONFIG, "small room")
+    write_run(folder, result, drift, sequence.ground_truth, CONFIG, *NAMES)
     return folder
 
 
@@ -120,18 +120,20 @@ def test_the_report_is_one_page_with_its_title(written):
 
 def test_without_truth_or_map_their_files_are_left_out(tmp_path, result):
     config = Config(map=MapConfig(write=False))
-    write_run(tmp_path, result, None, None, config, "small room")
+    write_run(tmp_path, result, None, None, config, *NAMES)
     assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt", "map.ply"})
     assert json.loads((tmp_path / "summary.json").read_text())["ate_after_m"] is None
 
 
 def test_truth_that_could_not_be_compared_is_copied_all_the_same(tmp_path, result, sequence):
-    write_run(tmp_path, result, None, sequence.ground_truth, Config(), "small room")
+    write_run(
+        tmp_path, result, None, sequence.ground_truth, Config(), "small room", "run_slam room"
+    )
     assert names(tmp_path) == sorted(IN_ORDER)
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path, written, result, drift, sequence):
-    write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room")
+    write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, *NAMES)
     for name in IN_ORDER:
         assert (tmp_path / name).read_bytes() == (written / name).read_bytes(), name
 
@@ -142,7 +144,7 @@ def test_an_outvoted_loop_is_in_the_ledger_but_not_in_the_graph(tmp_path, result
         replace(result.attempts[-1], outcome=motion, weight=weight) for weight in (1.0, 0.0)
     )
     config = Config(map=MapConfig(write=False))
-    write_run(tmp_path, replace(result, attempts=loops), None, None, config, "x")
+    write_run(tmp_path, replace(result, attempts=loops), None, None, config, "x", "run_slam x")
     assert [each.accepted for each in read_ledger(tmp_path / "loops.jsonl")] == [True, False]
     graph, _ = gtsam.readG2o(str(tmp_path / "pose_graph.g2o"), True)
     assert graph.size() == len(result.links) + 1
@@ -161,7 +163,9 @@ def test_a_full_disk_leaves_the_files_before_it_whole(
 
     monkeypatch.setattr(os, "fsync", fsync)
     with pytest.raises(SlamError, match=f"cannot write {stops_at}: No space left") as error:
-        write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room")
+        write_run(
+            tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room", "run_slam room"
+        )
     assert "\n" not in str(error.value)
     complete = IN_ORDER[: IN_ORDER.index(stops_at)]
     assert names(tmp_path) == sorted(complete)
@@ -198,3 +202,22 @@ def test_a_folder_that_may_not_be_written_to_is_one_clear_line(tmp_path, monkeyp
     monkeypatch.setattr(Path, "touch", touch)
     with pytest.raises(SlamError, match="Permission denied"):
         make_run_folder(tmp_path)
+
+
+def test_what_an_earlier_run_left_is_not_mistaken_for_this_one_s(result, tmp_path):
+    for name in ("map.ply", "groundtruth.txt"):
+        (tmp_path / name).write_text("from an earlier run")
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, *NAMES)
+    assert not (tmp_path / "map.ply").exists()
+    assert not (tmp_path / "groundtruth.txt").exists()
+
+
+def test_the_settings_and_the_summary_say_what_was_run(result, tmp_path):
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, *MINE)
+    settings = (tmp_path / "settings.toml").read_text()
+    assert settings.startswith("# run_slam room --recognizer mine --config settings.toml\n")
+    assert load_config(tmp_path / "settings.toml") == config
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["command"] == MINE[1]
