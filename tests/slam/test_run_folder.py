@@ -17,6 +17,8 @@ from slam.run_folder import make_run_folder, write_run
 from slam.trajectory import read_tum
 from slam.types import RelativePose, SlamError
 
+NAMES = ("small room", "run_slam room")
+MINE = ("small room", "run_slam room --recognizer mine")
 IN_ORDER = [
     "trajectory.txt",
     "odometry.txt",
