@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from placerec.networks import TRUNKS, Trunk
 from placerec.recognizer import RecognizerError
-from placerec.weights_file import load_weights
+from placerec.weights_file import hash_network, load_weights
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "default.safetensors"
 FRAMES_PER_PASS = 32
@@ -36,6 +37,11 @@ class LearnedRecognizer:
             RecognizerError: the weights cannot be read, are damaged, or do not fit.
         """
         self.network, self.min_similarity = load_weights(path, trunks)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What a certificate knows the weights by; it does not depend on min_similarity."""
+        return hash_network(self.network)
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of an image of any size.

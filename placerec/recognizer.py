@@ -5,12 +5,16 @@ import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import NoReturn, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 ENTRY_POINT_GROUP = "placerec.recognizers"
+WEIGHTS_SUFFIX = ".safetensors"
+WEIGHTS_READER = "placerec.embedding:LearnedRecognizer"
+"""Found when it is needed, as every recognizer: reading weights takes torch, nothing else here."""
 MAX_LENGTH_ERROR = 1e-3
 
 
@@ -39,14 +43,18 @@ def available() -> tuple[str, ...]:
 
 
 def load(name: str) -> PlaceRecognizer:
-    """Return a new recognizer by its installed name, or by `package.module:ClassName`.
+    """Return a new recognizer by its installed name, `package.module:ClassName` or weights file.
 
-    Only the named one is imported. What is named is a class or a function without arguments.
+    Only the named one is imported. What is named is a class or a function without arguments, or
+    the path of a network trained by `placerec train`, which ends in .safetensors.
 
     Raises:
         RecognizerError: there is none of that name, two packages claim it, it cannot be imported
-            or constructed, or what it makes is not a recognizer.
+            or constructed, what it makes is not a recognizer, or the weights cannot be used.
     """
+    if name.endswith(WEIGHTS_SUFFIX):
+        reader = EntryPoint(name=name, value=WEIGHTS_READER, group=ENTRY_POINT_GROUP).load()
+        return cast(PlaceRecognizer, reader(Path(name)))
     entry = _find(name)
     title = _title(name, entry)
     try:
@@ -152,7 +160,7 @@ def _unknown(name: str) -> str:
     listed = ", ".join(names) or "none"
     return (
         f"there is no recognizer {name!r}{hint}; installed: {listed}; "
-        "or name a class as package.module:ClassName"
+        "or name a class as package.module:ClassName, or a file of weights, *.safetensors"
     )
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A trained network as one safetensors file that says how to rebuild it."""
 
+import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -86,6 +87,16 @@ def load_weights(
         what = " ".join(str(error).split())
         raise RecognizerError(f"the weights do not fit their network: {what}: {path}") from error
     return network.eval(), description.min_similarity
+
+
+def hash_network(network: PlaceNetwork) -> str:
+    """Return "sha256:..." of all that embeddings depend on: the tensors and the input's making."""
+    made_with = (network.trunk.name, network.block, network.grid, network.preprocessing)
+    digest = hashlib.sha256(repr(made_with).encode())
+    for name, value in sorted(network.state_dict().items()):
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
+        digest.update(value.cpu().contiguous().numpy().tobytes())
+    return f"sha256:{digest.hexdigest()}"
 
 
 def _read(path: Path) -> tuple[_Description, dict[str, Tensor]]:

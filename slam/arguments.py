@@ -31,7 +31,7 @@ class Arguments:
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs; default: runs/SEQUENCE."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
-    """Place recognizer: an installed name, or package.module:ClassName."""
+    """Place recognizer: an installed name, package.module:ClassName, or FILE.safetensors."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)

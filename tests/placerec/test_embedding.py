@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 import torch
 
+from placerec.calibration import fingerprint
 from placerec.conformance import check
 from placerec.embedding import LearnedRecognizer
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.projection import start_from_principal_components
-from placerec.recognizer import RecognizerError
+from placerec.recognizer import RecognizerError, load
 from placerec.weights_file import save_weights
 
 
@@ -88,3 +89,39 @@ def test_threads_get_the_same_answers_and_the_callers_settings_stay(recognizer):
 def test_missing_weights_are_one_line(tmp_path):
     with pytest.raises(RecognizerError, match="cannot read the weights"):
         LearnedRecognizer(tmp_path / "none.safetensors")
+
+
+def test_fingerprint_is_of_the_weights_and_how_they_are_fed_not_of_the_threshold(tmp_path):
+    def saved(min_similarity=0.4, seed=0, size_px=(48, 36), change=0.0):
+        network = PlaceNetwork(
+            TRUNKS["mobilenet_v2"], 4, block="stem", grid=(2, 2), size_px=size_px, seed=seed
+        )
+        with torch.no_grad():
+            network.fully_connected.weight[3, 5] += change
+        path = tmp_path / "w.safetensors"
+        save_weights(network, path, min_similarity)
+        return fingerprint(LearnedRecognizer(path))
+
+    expected = saved()
+    assert expected.startswith("sha256:")
+    assert saved(min_similarity=0.9) == expected
+    others = [saved(seed=1), saved(change=0.25), saved(size_px=(64, 48))]
+    assert len({expected, *others}) == 4
+
+
+def test_is_loaded_by_the_path_of_its_weights(recognizer, tmp_path):
+    path = tmp_path / "mine.safetensors"
+    save_weights(recognizer.network, path, 0.25)
+    loaded = load(str(path))
+    assert isinstance(loaded, LearnedRecognizer)
+    assert loaded.min_similarity == 0.25
+    np.testing.assert_array_equal(loaded.embed(_image(1)), recognizer.embed(_image(1)))
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not weights"])
+def test_path_of_bad_weights_is_one_line(tmp_path, content):
+    path = tmp_path / "w.safetensors"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(RecognizerError, match=r"^(cannot|the weights are not).*w\.safetensors$"):
+        load(str(path))
