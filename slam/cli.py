@@ -86,8 +86,6 @@ def _open(arguments: Arguments, folder: Path) -> "Sequence":
     else:
         with closing(_Bar("fetching", unit="B", unit_scale=True)) as bar:
             path = resolve(arguments.sequence, bar)
-    if folder.resolve() == path.resolve():
-        raise SlamError(f"the outputs would replace the sequence's own files; choose --out: {path}")
     print(f"reading {path}", file=sys.stderr)
     sequence = open_sequence(path, arguments.settings.input)
     for warning in sequence.warnings:  # now, for they may tell why the run fails

@@ -9,9 +9,12 @@ import tomllib
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from slam.types import SlamError
+
+PYRAMID_SCALE = 1.2
+"""Ratio between neighbouring pyramid levels; a feature's pixel noise grows with it."""
 
 PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
@@ -27,7 +30,7 @@ class Section(BaseModel):
 class InputConfig(Section):
     """How a sequence is read."""
 
-    camera: Path | None = None
+    camera: Annotated[Path, AfterValidator(Path.absolute)] | None = None
     """TOML file of the camera; default: camera.toml of the folder, else by the folder's name."""
     depth_scale: PositiveFloat | None = None
     """Depth image units per metre; overrides the camera's."""
@@ -40,10 +43,8 @@ class FeaturesConfig(Section):
 
     count: PositiveInt = 1000
     """Features wanted per image."""
-    scale_factor: Annotated[float, Field(gt=1.0, le=2.0)] = 1.2
-    """Ratio between neighbouring pyramid levels."""
     levels: Annotated[int, Field(ge=1, le=16)] = 8
-    """Pyramid levels."""
+    """Pyramid levels, each 1.2 times smaller than the one before."""
     fast_threshold: Annotated[int, Field(ge=1, le=255)] = 12
     """Smallest brightness step of a corner; lower finds more corners in blurred images."""
     max_depth_m: PositiveFloat = 6.0
@@ -66,7 +67,7 @@ class VerificationConfig(Section):
     max_descriptor_distance: Annotated[int, Field(ge=1, le=256)] = 64
     """Largest Hamming distance of two matching descriptors."""
     max_reprojection_px: PositiveFloat = 3.0
-    """Largest reprojection error of an inlier."""
+    """Largest error of an inlier on the finest pyramid level; more on coarser ones."""
     ransac_iterations: PositiveInt = 300
     """Trials of PnP RANSAC."""
 

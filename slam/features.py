@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.config import FeaturesConfig
+from slam.config import PYRAMID_SCALE, FeaturesConfig
 from slam.types import Camera, Features, FloatArray, Frame
 
 _BORDER_PX = 19  # ORB's patch does not fit closer to the image border
@@ -22,8 +22,8 @@ class FeatureExtractor:
         # More corners than wanted, so that the spreading below has something to choose from.
         self._orb = cv2.ORB.create(
             nfeatures=2 * config.count,
-            scaleFactor=config.scale_factor,
-            nlevels=min(config.levels, _most_levels(camera, config.scale_factor)),
+            scaleFactor=PYRAMID_SCALE,
+            nlevels=min(config.levels, _most_levels(camera)),
             edgeThreshold=_BORDER_PX,
             fastThreshold=config.fast_threshold,
         )
@@ -32,7 +32,7 @@ class FeatureExtractor:
         """Return the frame's features; there may be none in a blank image."""
         grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
         keypoints = self._orb.detect(grey, None)
-        keypoints = [keypoints[i] for i in _spread(keypoints, grey.shape, self._config.count)]
+        keypoints = [keypoints[i] for i in _spread(keypoints, self._config.count)]
         keypoints, descriptors = self._orb.compute(grey, keypoints)
         if descriptors is None:
             return _no_features()
@@ -49,10 +49,10 @@ class FeatureExtractor:
         )
 
 
-def _most_levels(camera: Camera, scale_factor: float) -> int:
+def _most_levels(camera: Camera) -> int:
     # On a smaller level no feature fits, and OpenCV fails where it has no pixel at all.
     room = min(camera.width, camera.height) / (2 * _BORDER_PX + 1)
-    return 1 + int(np.log(max(room, 1.0)) / np.log(scale_factor))
+    return 1 + int(np.log(max(room, 1.0)) / np.log(PYRAMID_SCALE))
 
 
 def match(a: Features, b: Features, max_distance: int) -> NDArray[np.int64]:
@@ -87,7 +87,7 @@ def _depth_at(pixels: FloatArray, depth_image_m: NDArray[np.float32], max_m: flo
     return np.where((depth_m > 0.0) & (depth_m <= max_m), depth_m, np.nan)
 
 
-def _spread(keypoints: Any, shape: tuple[int, int], count: int) -> NDArray[np.int64]:
+def _spread(keypoints: Any, count: int) -> NDArray[np.int64]:
     # The strongest corners crowd on a few objects, and a pose is only as good as its support is
     # wide: every cell of a grid offers its best first, then its second best, and so on.
     if len(keypoints) <= count:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds the earlier keyframes that show the same place, and accounts for every candidate."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,12 +51,23 @@ class LoopCloser:
         """
         return self._recognizer.embed(rgb)
 
-    def close(self, keyframe: Keyframe, embedding: NDArray[np.float32]) -> tuple[LoopAttempt, ...]:
-        """Remember a keyframe and return what became of every earlier one that resembles it."""
+    def close(
+        self, keyframe: Keyframe, embedding: NDArray[np.float32], linked_ids: Sequence[int] = ()
+    ) -> tuple[LoopAttempt, ...]:
+        """Remember a keyframe and return what became of every earlier one that resembles it.
+
+        Args:
+            keyframe: the new one.
+            embedding: (D,) float32, unit length, as `describe` returned it.
+            linked_ids: keyframes whose motion to it is known already: however long ago they were
+                seen, a camera that stood still closes no loop.
+        """
         latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
         old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
         ids, similarities = self._index.query(
-            embedding, count=self._loop_config.candidates, limit=old_enough
+            embedding,
+            count=self._loop_config.candidates,
+            limit=min([old_enough, *linked_ids]),
         )
         attempts = [
             self._attempt(keyframe, self._keyframes[match_id], float(similarity))

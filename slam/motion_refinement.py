@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam import se3
+from slam.config import PYRAMID_SCALE
 from slam.types import Camera, Features, FloatArray
 
 _PIXEL_SIGMA_PX = 1.0  # on the finest pyramid level
-_LEVEL_SCALE = 1.2  # noise grows with the size of the patch
 _BASELINE_M = 0.075  # of the Kinect
 _DISPARITY_SIGMA_PX = 0.5
 _HUBER = 1.0  # whitened length from which a residual's pull stops growing
@@ -40,7 +40,7 @@ class _View:
         camera: Camera,
     ) -> "_View":
         disparity_px = _BASELINE_M * camera.fx / this.depth_m[this_index]
-        pixel_sigma = _PIXEL_SIGMA_PX * _LEVEL_SCALE ** this.octaves[this_index]
+        pixel_sigma = _PIXEL_SIGMA_PX * PYRAMID_SCALE ** this.octaves[this_index]
         disparity_sigma = np.full(len(this_index), _DISPARITY_SIGMA_PX)
         return _View(
             points_other_m=other.points_m[other_index],

@@ -24,8 +24,13 @@ def make_run_folder(folder: Path) -> None:
     """Create the folder, or make sure that an existing one can be written to.
 
     Raises:
-        SlamError: it cannot be created or written to.
+        SlamError: it cannot be created or written to, or it holds a recording.
     """
+    if (folder / "rgb.txt").exists():
+        raise SlamError(
+            f"the outputs would replace files of the recording in this folder; choose another with"
+            f" --out: {folder}"
+        )
     probe = folder / f".{uuid.uuid4().hex}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -63,6 +68,9 @@ def write_run(
     Raises:
         SlamError: a file cannot be written; those before it are complete.
     """
+    if (folder / "summary.json").exists():
+        for name in ("groundtruth.txt", "map.ply"):  # this run may not make them
+            (folder / name).unlink(missing_ok=True)
     settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     write_tum(folder / "trajectory.txt", result.trajectory)
@@ -70,8 +78,6 @@ def write_run(
     write_tum(folder / "keyframes.txt", Trajectory(keyframe_s, result.T_world_kf))
     if truth is not None:
         write_tum(folder / "groundtruth.txt", truth)
-    else:
-        (folder / "groundtruth.txt").unlink(missing_ok=True)
     write_ledger(folder / "loops.jsonl", result, drift)
     write_g2o(folder / "pose_graph.g2o", result.T_world_kf, _motions(result))
     write_atomically(folder / "settings.toml", settings)
@@ -80,8 +86,6 @@ def write_run(
     write_report(folder / "report.html", result, drift, settings, title, truth)
     if config.map.write:
         write_map(folder / "map.ply", result, config.map)
-    else:
-        (folder / "map.ply").unlink(missing_ok=True)
 
 
 def _motions(result: SlamResult) -> list[Link]:

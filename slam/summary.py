@@ -2,6 +2,7 @@
 """The run in one page of numbers: what goes into summary.json."""
 
 import math
+from dataclasses import asdict
 
 from slam.drift import DriftReport, TrajectoryError
 from slam.types import RejectionReason, SlamResult
@@ -11,6 +12,7 @@ from slam.verdict import final_rejection
 def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
     """Return summary.json's content; every key says its unit, None stands for unknown.
 
+    - camera: what the run took it to be; depth_scale in depth image units per metre.
     - frames_tracked, frames_untracked, keyframes, links: counts.
     - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
@@ -18,10 +20,17 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
       are off by more than the limits.
     - ate_*_m, rpe_*_m, rpe_*_deg: root mean square errors before (odometry) and after (corrected).
     - alignment, scale: how the ATE was taken; the scale is never adjusted.
-    - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind it.
+    - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind
+      it; matched_share is that of the tracked frames.
     - frames_per_second, stage_seconds, stage_ms_per_frame: wall time of the stages.
     """
-    return {**_counts(result), **_loop_counts(result, drift), **_errors(drift), **_speed(result)}
+    return {
+        "camera": {**asdict(result.camera), "distortion": list(result.camera.distortion)},
+        **_counts(result),
+        **_loop_counts(result, drift),
+        **_errors(drift),
+        **_speed(result),
+    }
 
 
 def _counts(result: SlamResult) -> dict[str, object]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from slam.drift import DriftReport
 from slam.summary import summarise
-from slam.types import SlamResult
+from slam.types import Camera, SlamResult
 
 
 def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -> str:
@@ -14,6 +14,7 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
     summary = summarise(result, drift)
     tracked = len(result.trajectory)
     rows = [
+        ("camera", _camera(result.camera)),
         ("frames", f"{tracked} of {tracked + len(result.untracked_s)} tracked"),
         ("keyframes", f"{len(result.keyframes)}"),
         ("loops", _loops(summary)),
@@ -22,19 +23,26 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         before, after = drift.before, drift.after
         rows += [
             ("ATE", f"{before.ate_rmse_m:.4f} m -> {after.ate_rmse_m:.4f} m corrected"),
-            ("", f"RMSE after SE(3) alignment, no scale; {after.matched_share:.1%} of frames"),
             (
                 "",
-                f"matched within {drift.tolerance_s * 1e3:.0f} ms,"
-                f" truth covers {drift.coverage:.1%}",
+                f"RMSE over {after.matched_share:.1%} of the tracked frames"
+                f" (truth within {drift.tolerance_s * 1e3:.0f} ms, it covers {drift.coverage:.1%})",
             ),
+            ("", "after SE(3) alignment, scale not adjusted"),
             ("RPE", _relative_error(drift)),
         ]
     if summary["frames_per_second"] is not None:
-        rows.append(("speed", f"{summary['frames_per_second']:.1f} frames/s"))
+        rows.append(("pipeline", f"{summary['frames_per_second']:.1f} frames/s"))
     rows += [("warning", warning) for warning in result.warnings]
     rows.append(("report", str(folder / "report.html")))
     return "\n".join(f"{name:<10} {text}" for name, text in rows)
+
+
+def _camera(camera: Camera) -> str:
+    return (
+        f"{camera.width}x{camera.height}, fx {camera.fx:g}, fy {camera.fy:g} px,"
+        f" {camera.depth_scale:g} depth units per metre"
+    )
 
 
 def _relative_error(drift: DriftReport) -> str:

@@ -42,7 +42,8 @@ class Slam:
     """RGB-D SLAM with loop closure.
 
     Two doors into one object: `process(frame)` tracks the camera itself; `add_keyframe(frame,
-    T_odom_cam)` takes poses from any other odometry. Either way `finish()` returns the result.
+    T_odom_cam)` takes poses from any other odometry. A run goes through one of them; either way
+    `finish()` returns the result.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Slam:
         self._rides: list[_Ride] = []
         self._untracked_s: list[float] = []
         self._last_s = -np.inf
+        self._door = ""
         self.clock = StageClock()
 
     @property
@@ -77,6 +79,7 @@ class Slam:
             RecognizerError: the recognizer failed; what was done until then can be finished.
         """
         self._check_frame(frame)
+        self._check_door("process")
         with self.clock.stage("track"):
             tracked = self._odometry.track(frame)
         if isinstance(tracked, Rejection):
@@ -100,6 +103,7 @@ class Slam:
         """
         T_odom_cam = _checked_pose(frame.timestamp_s, T_odom_cam)
         self._check_frame(frame)
+        self._check_door("add_keyframe")
         last = self._keyframes[-1] if self._keyframes else None
         keyframe = Keyframe(
             id=len(self._keyframes),
@@ -122,7 +126,8 @@ class Slam:
         with self.clock.stage("describe"):
             embedding = self._loop_closer.describe(frame.rgb)
         with self.clock.stage("close loops"):
-            attempts = self._loop_closer.close(keyframe, embedding)
+            linked_ids = [link.ref_id for link in links]
+            attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
         with self.clock.stage("graph"):
             self._constrain(keyframe, links, attempts)
         self._keyframes.append(keyframe)
@@ -197,6 +202,11 @@ class Slam:
         translation_m = self._config.graph.outside_translation_sigma_m
         return np.diag([rotation_rad**-2.0] * 3 + [translation_m**-2.0] * 3)
 
+    def _check_door(self, door: str) -> None:
+        if self._door not in ("", door):
+            raise SlamError(f"this run goes through {self._door}; start another Slam for {door}")
+        self._door = door
+
     def _check_frame(self, frame: Frame) -> None:
         if not frame.timestamp_s > self._last_s:
             raise SlamError(
@@ -204,6 +214,10 @@ class Slam:
                 f" {self._last_s:.6f} s"
             )
         wanted = (self._camera.height, self._camera.width)
+        if frame.rgb.dtype != np.uint8:
+            raise SlamError(
+                f"the frame at {frame.timestamp_s:.6f} s has {frame.rgb.dtype} colours, not uint8"
+            )
         if frame.rgb.shape != (*wanted, 3) or frame.depth_m.shape != wanted:
             raise SlamError(
                 f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"

@@ -4,14 +4,14 @@
 from slam.types import LoopAttempt, Rejection, RejectionReason, RelativePose
 
 MIN_TRUSTED_WEIGHT = 0.5
-"""The pose graph takes no notice of a loop that it gives less weight than this."""
+"""The pose graph takes no notice of a loop that it gives no more weight than this."""
 
 
 def final_rejection(attempt: LoopAttempt) -> Rejection | None:
     """Return why a loop is not in use, or None if geometry and the pose graph both believe it."""
     if isinstance(attempt.outcome, Rejection):
         return attempt.outcome
-    if attempt.weight is not None and attempt.weight < MIN_TRUSTED_WEIGHT:
+    if attempt.weight is not None and attempt.weight <= MIN_TRUSTED_WEIGHT:
         return Rejection(RejectionReason.OUTVOTED, attempt.weight, MIN_TRUSTED_WEIGHT)
     return None
 

@@ -12,7 +12,7 @@ from slam.types import Camera
 _FIELD_OF_VIEW_DEG = (20.0, 140.0)
 _ASPECT = (0.8, 1.25)
 _MAX_CENTRE_OFFSET = 0.25
-_MEDIAN_DEPTH_M = (0.2, 20.0)
+_MEDIAN_DEPTH_M = (0.4, 4.5)  # what structured-light cameras indoors see; scales differ by 5
 _MAX_MISSING = 0.9
 _USUAL_SCALES = (5000.0, 1000.0)
 _USUAL_DEPTH_M = 2.0

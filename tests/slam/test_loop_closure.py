@@ -78,6 +78,13 @@ def test_a_place_seen_again_is_a_loop_with_the_match_as_reference(views):
     assert attempt.verification.pixels.shape == (150, 4)
 
 
+def test_a_camera_that_stood_still_closes_no_loop_with_what_it_is_linked_to(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    run(loop_closer, views, [0] * 4, step_s=10.0)
+    new = keyframe(4, views.reference, 40.0)
+    assert pairs(loop_closer.close(new, direction(0), linked_ids=[3, 2])) == [(4, 0), (4, 1)]
+
+
 def test_only_keyframes_outside_the_time_window_are_looked_at(views):
     attempts = run(closer(camera=views.camera, min_gap_s=3.0, candidates=10), views, [0] * 6)
     assert [pairs(each) for each in attempts] == [

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from slam import motion_refinement, se3
+from slam.config import PYRAMID_SCALE
 from slam.features import back_project, match
 from slam.motion_refinement import Correspondences, refine, residual_lengths
 
@@ -34,10 +35,7 @@ def half_squares(views, T_ref_query):
         K, baseline_m = views.camera.matrix, motion_refinement._BASELINE_M
         pixels = (points[:, :3] @ K.T)[:, :2] / points[:, 2:3]
         disparity = baseline_m * K[0, 0] * (1.0 / points[:, 2] - 1.0 / seen.depth_m[index])
-        sigma_px = (
-            motion_refinement._PIXEL_SIGMA_PX
-            * motion_refinement._LEVEL_SCALE ** (seen.octaves[index])
-        )
+        sigma_px = motion_refinement._PIXEL_SIGMA_PX * PYRAMID_SCALE ** (seen.octaves[index])
         pixel_residuals = (pixels - seen.undistorted_px[index]) / sigma_px[:, None]
         total += 0.5 * np.nansum(pixel_residuals**2)
         total += 0.5 * np.nansum((disparity / motion_refinement._DISPARITY_SIGMA_PX) ** 2)

@@ -207,7 +207,7 @@ def test_a_folder_that_may_not_be_written_to_is_one_clear_line(tmp_path, monkeyp
 
 
 def test_what_an_earlier_run_left_is_not_mistaken_for_this_one_s(result, tmp_path):
-    for name in ("map.ply", "groundtruth.txt"):
+    for name in ("map.ply", "groundtruth.txt", "summary.json"):
         (tmp_path / name).write_text("from an earlier run")
     config = Config(map=MapConfig(write=False))
     write_run(tmp_path, result, None, None, config, *NAMES)
@@ -223,3 +223,17 @@ def test_the_settings_and_the_summary_say_what_was_run(result, tmp_path):
     assert load_config(tmp_path / "settings.toml") == config
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["command"] == MINE[1]
+
+
+def test_files_that_no_run_wrote_are_left_alone(result, tmp_path):
+    for name in ("map.ply", "groundtruth.txt"):
+        (tmp_path / name).write_text("somebody's")
+    write_run(tmp_path, result, None, None, Config(map=MapConfig(write=False)), *NAMES)
+    assert (tmp_path / "map.ply").read_text() == "somebody's"
+    assert (tmp_path / "groundtruth.txt").read_text() == "somebody's"
+
+
+def test_a_recording_is_no_run_folder(tmp_path):
+    (tmp_path / "rgb.txt").touch()
+    with pytest.raises(SlamError, match="would replace files of the recording"):
+        make_run_folder(tmp_path)

@@ -56,14 +56,15 @@ def lines(result, drift):
 
 def test_the_whole_run_in_a_few_lines(result):
     assert lines(result, drift_of()) == [
+        "camera     640x480, fx 525, fy 525 px, 5000 depth units per metre",
         "frames     8 of 10 tracked",
         "keyframes  0",
         "loops      2 accepted of 4 candidates, 1 outvoted by the graph; 1 of 2 checked are false",
         "ATE        0.0500 m -> 0.0200 m corrected",
-        "           RMSE after SE(3) alignment, no scale; 75.0% of frames",
-        "           matched within 20 ms, truth covers 90.5%",
+        "           RMSE over 75.0% of the tracked frames (truth within 20 ms, it covers 90.5%)",
+        "           after SE(3) alignment, scale not adjusted",
         "RPE        0.0123 m -> 0.0062 m, 2.00 deg -> 1.00 deg over 1 s",
-        "speed      20.0 frames/s",
+        "pipeline   20.0 frames/s",
         f"report     {Path('runs/desk/report.html')}",
     ]
 
@@ -95,4 +96,4 @@ def test_warnings_come_before_the_report(result):
 
 
 def test_a_run_that_took_no_time_has_no_speed(result):
-    assert not any("speed" in line for line in lines(replace(result, stage_seconds={}), None))
+    assert not any("frames/s" in line for line in lines(replace(result, stage_seconds={}), None))

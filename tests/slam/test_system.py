@@ -299,6 +299,22 @@ def test_a_frame_of_another_size_is_refused(frames):
             assert "\n" not in str(error.value)
 
 
+def test_colours_that_are_not_bytes_are_refused(frames):
+    floats = replace(frames[0], rgb=frames[0].rgb / 255.0)
+    with pytest.raises(SlamError, match="float64 colours, not uint8"):
+        Slam(CAMERA, GradientRecognizer()).process(floats)
+
+
+def test_a_run_goes_through_one_door(frames):
+    tracking, adding = Slam(CAMERA, GradientRecognizer()), Slam(CAMERA, GradientRecognizer())
+    tracking.process(frames[0])
+    adding.add_keyframe(frames[0], np.eye(4))
+    with pytest.raises(SlamError, match="goes through process"):
+        tracking.add_keyframe(frames[1], np.eye(4))
+    with pytest.raises(SlamError, match="goes through add_keyframe"):
+        adding.process(frames[1])
+
+
 def test_a_refused_frame_may_be_given_again_with_a_better_pose(frames):
     slam = Slam(CAMERA, GradientRecognizer())
     with pytest.raises(SlamError, match="not a rigid"):
