@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One line per training step, as CSV."""
 
-import csv
-import io
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from placerec.output_file import write_atomically
 from placerec.recognizer import RecognizerError
@@ -37,6 +37,10 @@ class StepRecord:
     time_to_go_s: float
 
 
+NAMES = [field.name for field in fields(StepRecord)]
+_RECORD = TypeAdapter(StepRecord)
+
+
 class TrainingLog:
     """A CSV file that grows by a line per step and forgets steps that will be made again."""
 
@@ -44,16 +48,12 @@ class TrainingLog:
         """Go on with a log after a step; what it says of later ones is removed.
 
         Raises:
-            RecognizerError: it cannot be read or written.
+            RecognizerError: it cannot be read or written, or is no training's.
         """
         self._path = path
-        names = [field.name for field in fields(StepRecord)]
-        kept = [row for row in _rows(path) if int(row["step"]) <= last_step]
-        buffer = io.StringIO()
-        table = csv.DictWriter(buffer, names, extrasaction="ignore", lineterminator="\n")
-        table.writeheader()
-        table.writerows(kept)
-        write_atomically(path, buffer.getvalue().encode())
+        kept = [record for record in read_log(path) if record.step <= last_step]
+        lines = [NAMES, *(_row(record) for record in kept)]
+        write_atomically(path, "".join(",".join(line) + "\n" for line in lines).encode())
 
     def add(self, record: StepRecord) -> None:
         """Write a line.
@@ -61,24 +61,39 @@ class TrainingLog:
         Raises:
             RecognizerError: it cannot be written.
         """
-        values = (
-            f"{value:.6g}" if isinstance(value, float) else value for value in astuple(record)
-        )
         try:
             with self._path.open("a", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerow(values)
+                file.write(",".join(_row(record)) + "\n")
         except OSError as error:
             raise RecognizerError(
                 f"cannot write the log: {error.strerror}: {self._path}"
             ) from error
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    """Return the complete lines of a log; a process may have been killed within one."""
+def read_log(path: Path) -> list[StepRecord]:
+    """Return what each step of a log did, nothing where there is no log.
+
+    Raises:
+        RecognizerError: it cannot be read, or is no training's.
+    """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return [row for row in csv.DictReader(file) if None not in row.values()]
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         return []
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise RecognizerError(f"cannot read the log: {error}: {path}") from error
+    # The last line ends in no line break where a process was killed within it.
+    header, *rows = [line.split(",") for line in text.split("\n")[:-1]] or [NAMES]
+    try:
+        if header != NAMES:
+            raise ValueError
+        return [_RECORD.validate_python(dict(zip(NAMES, row, strict=True))) for row in rows]
+    except ValueError as error:
+        raise RecognizerError(
+            f"the file is no log of a training; remove it or choose another folder: {path}"
+        ) from error
+
+
+def _row(record: StepRecord) -> list[str]:
+    values = astuple(record)
+    return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in values]

@@ -2,6 +2,7 @@
 """Images and which pairs of them show the same place: one file per format."""
 
 from placerec.datasets.formats import open_dataset
+from placerec.datasets.labelled_images import LabelledImages
 from placerec.datasets.place_dataset import PlaceDataset
 
-__all__ = ["PlaceDataset", "open_dataset"]
+__all__ = ["LabelledImages", "PlaceDataset", "open_dataset"]

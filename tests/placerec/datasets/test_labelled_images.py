@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placerec.datasets import LabelledImages, PlaceDataset
+from placerec.recognizer import RecognizerError
+
+
+@pytest.fixture
+def recording(tmp_path, write_image):
+    def make(name, labels, first_seed):
+        everyone = np.arange(len(labels))
+        return PlaceDataset(
+            name=name,
+            paths=tuple(
+                write_image(tmp_path / name / f"{i}.png", seed=first_seed + i) for i in everyone
+            ),
+            queries=everyone,
+            references=everyone,
+            same_place=np.equal.outer(labels, labels),
+            comparable=np.ones((len(labels),) * 2, bool),
+            places=np.array(labels),
+        )
+
+    return make
+
+
+def test_keeps_images_with_their_labels_and_datasets_apart(recording):
+    first, second = recording("a", [0, 0, 3], 0), recording("b", [3, 0], 10)
+    both = LabelledImages([first, second])
+    np.testing.assert_array_equal(both.places, [0, 0, 1, 3, 2])
+    assert len(both) == 5
+    expected = [first[0], first[1], first[2], second[0], second[1]]
+    for i, image in enumerate(expected):
+        np.testing.assert_array_equal(both[i], image)
+
+
+def test_dataset_without_labels_is_refused(recording):
+    pairs_only = replace(recording("pairs", [0, 1], 0), places=None)
+    with pytest.raises(RecognizerError, match=r"^pairs tells only which pairs") as caught:
+        LabelledImages([recording("a", [0], 5), pairs_only])
+    assert "\n" not in str(caught.value)
+
+
+def test_same_image_twice_is_refused(recording):
+    first = recording("a", [0, 1], 0)
+    with pytest.raises(RecognizerError, match=r"^a and again have an image in common.*/a/\d\.png$"):
+        LabelledImages([first, replace(first, name="again")])
