@@ -3,8 +3,10 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from threading import Event
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
@@ -16,26 +18,33 @@ from placerec.certificate import Certificate, write_certificate
 from placerec.conformance import Report
 from placerec.conformance import check as check_recognizer
 from placerec.cost import measure_cost
-from placerec.datasets import PlaceDataset, open_dataset
+from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
 from placerec.evaluation_table import LEGEND, Measured, evaluation_table
+from placerec.interruption import deferred_interrupts
 from placerec.recognizer import PlaceRecognizer, RecognizerError, available, load
+from placerec.training_plan import TrainingPlan
+
+if TYPE_CHECKING:
+    from placerec.training import Training
 
 DOES_NOT_CONFORM, BAD_USAGE = 1, 2
 
-DESCRIPTION = "Recognise places: check, measure and calibrate what tells them apart."
+DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
+
+RECOGNIZER = "NAME|MODULE:CLASS|FILE"
 
 app = tyro.extras.SubcommandApp()
 
 
 @app.command
 def check(
-    recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|MODULE:CLASS")],
+    recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=RECOGNIZER)],
     /,
 ) -> int:
     """Tell what a recognizer does right and wrong.
 
     Args:
-        recognizer: an installed recognizer's name, or package.module:ClassName.
+        recognizer: an installed name, package.module:ClassName, or trained weights.
     """
     report = check_recognizer(load(recognizer))
     print(_table(report))
@@ -52,7 +61,7 @@ def evaluate(
     /,
     recognizers: Annotated[
         tuple[str, ...],
-        tyro.conf.arg(metavar="NAME ...", help_behavior_hint="(default: all installed)"),
+        tyro.conf.arg(metavar=f"{RECOGNIZER} ...", help_behavior_hint="(default: all installed)"),
     ] = (),
 ) -> int:
     """Measure how well recognizers tell places apart, and what they cost, as a Markdown table.
@@ -66,7 +75,7 @@ def evaluate(
             - query/, ref/: two drives of one path
             - dataset.csv: clips; the test floors, or as named
             after a colon, FOLDER:validation or FOLDER:train
-        recognizers: installed names, or package.module:ClassName.
+        recognizers: installed names, package.module:ClassName, or trained weights.
     """
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
@@ -87,7 +96,7 @@ def evaluate(
 def calibrate(
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")],
     /,
-    recognizer: Annotated[str, tyro.conf.arg(metavar="NAME|MODULE:CLASS")],
+    recognizer: Annotated[str, tyro.conf.arg(metavar=RECOGNIZER)],
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")],
 ) -> int:
     """Find the threshold of a recognizer: the largest recall without an error on some data.
@@ -96,7 +105,7 @@ def calibrate(
 
     Args:
         data: images not used in training or to choose; formats as in evaluate.
-        recognizer: an installed recognizer's name, or package.module:ClassName.
+        recognizer: an installed name, package.module:ClassName, or trained weights.
         out: certificate to write beside the weights, as JSON.
     """
     loaded, dataset = load(recognizer), _open(data)
@@ -104,6 +113,51 @@ def calibrate(
     certificate = calibration.calibrate(recognizer, loaded, dataset, embeddings)
     write_certificate(certificate, out)
     print(f"{_description(dataset)}\n{_summary(certificate)}\nwritten to {out}")
+    return 0
+
+
+@app.command
+def train(
+    data: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
+    ],
+    /,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    plan: Annotated[TrainingPlan, tyro.conf.arg(name="")],
+) -> int:
+    """Train a recognizer on images of known places; the same command goes on with a stopped one.
+
+    Example: placerec train ie_tower --out runs/tower --weights mobilenet_v2.npz --minutes 60
+
+    DIR then holds weights.safetensors, whose path names the recognizer from then on, log.csv and
+    log.png. Measure and calibrate it on other images than these.
+
+    Args:
+        data: folders in the formats of evaluate; of clips, the floors for training.
+        out: folder for the results and the checkpoint.
+        plan: what is trained, and how.
+    """
+    # Loaded here, because torch takes seconds that the other commands do not need.
+    from placerec.training_run import start_training, write_results
+    from placerec.workers import Workers
+
+    if not data:
+        raise RecognizerError("train needs at least one folder of images; see --help")
+    images, workers = LabelledImages([_open(source, "train") for source in data]), Workers()
+    with deferred_interrupts() as interrupted:
+        bar = _TrainingBar(plan.steps, interrupted, is_shown=workers.is_first)
+        try:
+            training = start_training(plan, images, out, workers, bar.look)
+            bar.follow(training)
+        except KeyboardInterrupt:
+            raise RecognizerError(f"stopped; the same command goes on from here: {out}") from None
+        finally:
+            bar.close()
+    if workers.is_first:
+        path = write_results(training, plan, out)
+        print(f"the training is over: {training.end}\nwritten to {path}, not calibrated yet")
     return 0
 
 
@@ -118,8 +172,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_USAGE
 
 
-def _open(source: str) -> PlaceDataset:
-    dataset = open_dataset(source)
+class _TrainingBar:
+    """What a training is doing, in one line."""
+
+    def __init__(self, steps: int | None, interrupted: Event, *, is_shown: bool) -> None:
+        self._interrupted = interrupted
+        hidden = None if is_shown else True
+        self._bar = tqdm(total=steps, desc="training", unit="step", leave=False, disable=hidden)
+        self.close = self._bar.close
+
+    def look(self, done: int, total: int) -> None:
+        self._show(f"looking at image {done} of {total}")
+
+    def follow(self, training: "Training") -> None:
+        # Closed, it writes its checkpoint at once.
+        with closing(iter(training)) as records:
+            for record in records:
+                self._bar.update(record.step - self._bar.n)
+                self._show(
+                    f"loss {record.loss:.3f}, {record.sets_left} sets left, "
+                    f"{record.images_per_s:.0f} images/s, {record.time_to_go_s / 60:.1f} min to go"
+                )
+
+    def _show(self, what: str) -> None:
+        self._bar.set_postfix_str(what)
+        if self._interrupted.is_set():
+            raise KeyboardInterrupt
+
+
+def _open(source: str, part: str = "test") -> PlaceDataset:
+    dataset = open_dataset(source, part)
     for broken in dataset.skipped:
         print(f"placerec: skipped: {broken.why}: {broken.path}", file=sys.stderr)
     return dataset

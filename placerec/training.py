@@ -4,7 +4,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from enum import StrEnum
 from pathlib import Path
 
@@ -68,7 +68,8 @@ class Training:
             config: how.
             folder: an existing one, for checkpoint.pt and log.csv.
             workers: default: those that torchrun started, on GPUs where there are any.
-            progress: called while images are looked at to build sets, which may take long.
+            progress: called while images are looked at to build sets, which may take long;
+                KeyboardInterrupt raised in it stops the training with a checkpoint.
 
         Raises:
             RecognizerError: the images have no labels, the folder's checkpoint is damaged or of
@@ -93,7 +94,7 @@ class Training:
         """Where the last good state is."""
         return self._folder / CHECKPOINT_NAME
 
-    def __iter__(self) -> Iterator[StepRecord]:
+    def __iter__(self) -> Generator[StepRecord, None, None]:
         """Yield what each step did, until no set can be formed or the budget is spent.
 
         Raises:
@@ -131,7 +132,11 @@ class Training:
         places = self._places
         rng = np.random.default_rng([self._config.seed, self._round])
         seen = sample_images(places, self._config.images_per_place or len(places), rng)
-        features = self._learner.embed(seen, self._progress)
+        try:
+            features = self._learner.embed(seen, self._progress)
+        except KeyboardInterrupt:  # may come from progress; all is still as after the last step
+            self._save()
+            raise
         anchors = rng.permutation(sample_images(places[seen], 1, rng))
         sets = build_image_sets(features, places[seen], rng, self._config.rules, anchors)
         self._sets = ImageSets(seen[sets.positives], seen[sets.negatives])
@@ -185,11 +190,12 @@ class Training:
         self._elapsed_s = time.monotonic() - self._started_s
 
     def _settings(self) -> dict[str, str]:
-        network = self.network
+        network, size = self.network, self.network.preprocessing
         labels = hashlib.sha256(np.ascontiguousarray(self._places, np.int64).tobytes())
         config = self._config.model_dump(mode="json", exclude=set(MAY_CHANGE))
         return {name: json.dumps(value) for name, value in config.items()} | {
-            "network": f"{network.trunk.name} to {network.block}, {network.dimension} values",
+            "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
+            f"{network.grid} cells of {size.width_px} x {size.height_px} px",
             "images": f"{len(self._places)} with labels {labels.hexdigest()[:12]}",
         }
 

@@ -31,7 +31,7 @@ TESTED_WITHIN = {
     "placerec/output_file.py": "placerec/test_training.py",
     "placerec/place_images.py": "placerec/test_training.py",
     "placerec/training_config.py": "placerec/test_training.py",
-    "placerec/training_log.py": "placerec/test_training.py",
+    "placerec/training_plan.py": "placerec/test_training_run.py",
     "placerec/workers.py": "placerec/test_training.py",
     "slam/datasets/archive.py": "slam/datasets/test_download.py",
     "slam/datasets/rooms/furniture.py": "slam/datasets/rooms/test_room.py",

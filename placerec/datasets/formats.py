@@ -11,20 +11,24 @@ from placerec.datasets.tum import read_tum
 from placerec.recognizer import RecognizerError
 
 
-def open_dataset(source: str) -> PlaceDataset:
+def open_dataset(source: str, part: str = "test") -> PlaceDataset:
     """Open a folder in any known format, as FOLDER or, for one of clips, as FOLDER:PART.
+
+    Args:
+        source: the folder, with or without a part.
+        part: of a folder of clips, where the source names none.
 
     Raises:
         RecognizerError: there is no such folder or part, it is in no known format, or it is broken.
     """
-    folder, part = _split(source)
+    folder, named = _split(source)
     if not folder.is_dir():
         raise RecognizerError(f"there is no such folder: {folder}")
     try:
         if (folder / "dataset.csv").is_file():
-            return read_clips(folder, part or "test")
-        if part:
-            raise RecognizerError(f"only a folder of clips has parts, no {part!r} here: {folder}")
+            return read_clips(folder, named or part)
+        if named:
+            raise RecognizerError(f"only a folder of clips has parts, no {named!r} here: {folder}")
         return _read_whole(folder)
     except OSError as error:
         raise RecognizerError(f"cannot look into the folder: {error.strerror}: {folder}") from error

@@ -88,7 +88,7 @@ def test_bad_input_is_one_line_and_code_2(arguments, message, capsys):
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate"])
+@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate", "train"])
 def test_help_shows_an_example_or_what_is_needed(command, capsys):
     with pytest.raises(SystemExit) as caught:
         main([command, "--help"])

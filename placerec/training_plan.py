@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training is asked for in words and numbers, before anything heavy is loaded."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class TrainingPlan:
+    """A network, what it starts from, and how it is trained."""
+
+    trunk: str = "mobilenet_v2"
+    """Convolutions: alexnet, vgg16, squeezenet or mobilenet_v2."""
+    block: str | None = None
+    """The trunk's last block to keep; none: all of it."""
+    grid: tuple[int, int] | None = None
+    """Rows and columns of cells to average the trunk's maps in; none: keep them whole."""
+    size: tuple[int, int] | None = None
+    """Width and height that images are resized to, in pixels; none: the trunk's."""
+    dimension: int = 1000
+    """Values in an embedding."""
+    weights: Path | None = None
+    """The trunk's published weights, .pth or .npz; none: random ones."""
+    loss: str = "multi-constraint"
+    """What is minimised: multi-constraint, multi-constraint-full or triplet."""
+    steps: int | None = None
+    """Steps after which the training ends; none: when all places are told apart."""
+    minutes: float | None = None
+    """Time after which the training ends, resumed parts added up; none: no such limit."""
+    learning_rate: float = 1e-4
+    """Of the fully connected layer."""
+    trunk_learning_rate: float = 1e-5
+    """Of the layers before it."""
+    frozen_block: str | None = None
+    """The trunk stays as it is up to the end of this block; none: all layers are trained."""
+    augment: bool = True
+    """Turn, crop, blur and relight the images of each step, as a hand-held camera would."""
+    seed: int = 0
+    """What all draws come from."""

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A training as planned: from a network's starting weights to the files that it leaves."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+
+from placerec.augmentation import Augmentation
+from placerec.datasets import LabelledImages
+from placerec.early_layers import IMAGES_PER_PASS, Progress
+from placerec.networks import TRUNKS, PlaceNetwork
+from placerec.networks.pretrained import load_pretrained
+from placerec.networks.projection import start_from_principal_components
+from placerec.recognizer import RecognizerError
+from placerec.training import LOG_NAME, Training
+from placerec.training_config import TrainingConfig
+from placerec.training_log import read_log
+from placerec.training_plan import TrainingPlan
+from placerec.training_plot import write_plot
+from placerec.weights_file import save_weights
+from placerec.workers import Workers
+
+WEIGHTS_NAME, PLOT_NAME = "weights.safetensors", "log.png"
+COMPONENTS_FROM = 2000
+"""Images, spread evenly, that principal components are taken from; more cost time and memory."""
+
+
+def start_training(
+    plan: TrainingPlan, images: LabelledImages, folder: Path, workers: Workers, progress: Progress
+) -> Training:
+    """Return a training as planned, or the one that the folder holds a checkpoint of.
+
+    The trunk starts from the plan's weights, the fully connected layer from the principal
+    components of what the trunk makes of the images.
+
+    Args:
+        plan: what is asked for.
+        images: to learn from.
+        folder: for all files; made where it is missing.
+        workers: the processes that share the training.
+        progress: called while images are looked at.
+
+    Raises:
+        RecognizerError: the plan or its weights cannot be used, the checkpoint is damaged or of
+            another training, or the folder cannot be written to.
+    """
+    config, network = _config(plan), _network(plan)
+    if plan.weights is not None:
+        load_pretrained(network, plan.weights)
+    _make(folder)
+    training = Training(network, images, config, folder, workers=workers, progress=progress)
+    if not training.checkpoint_path.exists():
+        _start_last_layer(network, images, workers.device, plan.seed, progress)
+    return training
+
+
+def write_results(training: Training, plan: TrainingPlan, folder: Path) -> Path:
+    """Write the trained weights and the plot of the log, and return the weights' path.
+
+    Until it is calibrated, the threshold is the similarity from which the training itself takes
+    images of two places for confused: gamma' as a cosine (eq. 9).
+
+    Raises:
+        RecognizerError: a file cannot be written.
+    """
+    path = folder / WEIGHTS_NAME
+    save_weights(training.network, path, 1.0 - _config(plan).gamma_prime / 2.0)
+    write_plot(read_log(folder / LOG_NAME), folder / PLOT_NAME)
+    return path
+
+
+def _config(plan: TrainingPlan) -> TrainingConfig:
+    try:
+        return TrainingConfig.model_validate(
+            {
+                "loss": plan.loss,
+                "learning_rate": plan.learning_rate,
+                "trunk_learning_rate": plan.trunk_learning_rate,
+                "frozen_block": plan.frozen_block,
+                "augmentation": Augmentation() if plan.augment else None,
+                "max_steps": plan.steps,
+                "max_seconds": None if plan.minutes is None else 60.0 * plan.minutes,
+                "seed": plan.seed,
+            }
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        name, why = first["loc"][0], first["msg"]
+        raise RecognizerError(f"{name} = {first['input']!r}: {why[0].lower()}{why[1:]}") from error
+
+
+def _network(plan: TrainingPlan) -> PlaceNetwork:
+    if plan.trunk not in TRUNKS:
+        raise RecognizerError(f"there is no trunk {plan.trunk!r}; there are: {', '.join(TRUNKS)}")
+    for name, pair in (("grid", plan.grid), ("size", plan.size)):
+        if pair is not None and min(pair) < 1:
+            raise RecognizerError(f"{name} = {pair[0]} {pair[1]}: both numbers must be at least 1")
+    return PlaceNetwork(
+        TRUNKS[plan.trunk],
+        plan.dimension,
+        block=plan.block,
+        grid=plan.grid,
+        size_px=plan.size,
+        seed=plan.seed,
+    )
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
+
+
+@torch.no_grad()
+def _start_last_layer(
+    network: PlaceNetwork,
+    images: LabelledImages,
+    device: torch.device,
+    seed: int,
+    progress: Progress,
+) -> None:
+    count = min(len(images), COMPONENTS_FROM)
+    chosen = np.linspace(0, len(images) - 1, count).astype(int)
+    network.eval()
+    values = []
+    for start in range(0, count, IMAGES_PER_PASS):
+        part = [images[int(i)] for i in chosen[start : start + IMAGES_PER_PASS]]
+        values.append(network.flatten(network.features(network.prepare(part).to(device))))
+        progress(start + len(part), count)
+    start_from_principal_components(network, torch.cat(values), seed)
