@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `run_slam` command: read a sequence, run the pipeline, write the run's folder."""
 
-import signal
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
+from placerec.interruption import deferred_interrupts
 from placerec.recognizer import RecognizerError, load
 from slam.arguments import Arguments, parse
 from slam.types import Frame, SlamError, SlamResult
@@ -57,20 +56,21 @@ def _run(arguments: Arguments) -> None:
     stopped = _process(slam, sequence)
     if stopped and not slam.has_keyframes:
         raise stopped
-    result = slam.finish()
-    drift, doubts = _judge(result, sequence, arguments)
-    if stopped:
-        doubts = (f"the run stopped early: {_why(stopped)}", *doubts)
-    result = replace(result, warnings=(*doubts, *sequence.warnings, *result.warnings))
-    write_run(
-        folder,
-        result,
-        drift,
-        sequence.ground_truth,
-        arguments.settings,
-        title=Path(arguments.sequence).resolve().name,
-        command=f"run_slam {arguments.sequence} --recognizer {arguments.recognizer}",
-    )
+    with deferred_interrupts():  # what was done is worth the seconds that writing it takes
+        result = slam.finish()
+        drift, doubts = _judge(result, sequence, arguments)
+        if stopped:
+            doubts = (f"the run stopped early: {_why(stopped)}", *doubts)
+        result = replace(result, warnings=(*doubts, *sequence.warnings, *result.warnings))
+        write_run(
+            folder,
+            result,
+            drift,
+            sequence.ground_truth,
+            arguments.settings,
+            title=Path(arguments.sequence).resolve().name,
+            command=f"run_slam {arguments.sequence} --recognizer {arguments.recognizer}",
+        )
     print(summary_table(result, drift, folder))
     if stopped:
         raise SlamError(f"{_why(stopped)}; what was done until then is in {folder}")
@@ -102,7 +102,7 @@ def _render_demo(path: Path) -> None:
 
 def _process(slam: "Slam", sequence: "Sequence") -> BaseException | None:
     """Feed all frames; return what stopped it early, so that the frames until then are kept."""
-    with _interrupts_between_frames() as interrupted:
+    with deferred_interrupts() as interrupted:  # half a keyframe could not be finished
         try:
             for frame in _timed(slam, sequence):
                 slam.process(frame)
@@ -111,29 +111,6 @@ def _process(slam: "Slam", sequence: "Sequence") -> BaseException | None:
         except (SlamError, RecognizerError) as stopped:
             return stopped
     return None
-
-
-@contextmanager
-def _interrupts_between_frames() -> Iterator[threading.Event]:
-    """Let Ctrl-C wait for the frame at hand, for half a keyframe cannot be finished.
-
-    A second Ctrl-C does not wait.
-    """
-    interrupted = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupted  # signals go to the main thread, and only it may ask for them
-        return
-    usual = signal.getsignal(signal.SIGINT)
-
-    def note(*_: object) -> None:
-        interrupted.set()
-        signal.signal(signal.SIGINT, usual)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield interrupted
-    finally:
-        signal.signal(signal.SIGINT, usual)
 
 
 def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:

@@ -16,6 +16,7 @@ import pytest
 
 from slam.cli import main
 from slam.datasets import read_camera, write_camera
+from slam.system import Slam
 from slam.trajectory import read_tum
 
 ROOT = Path(__file__).parents[2]
@@ -501,6 +502,19 @@ def test_a_recording_is_never_written_into(run_slam, short_recording, tmp_path):
         assert "replace files of the recording" in run_slam(folder, out=out).complaint
     assert (folder / "groundtruth.txt").read_bytes() == truth
     assert "trajectory.txt" not in names(folder)
+
+
+def test_ctrl_c_while_the_run_is_written_waits_for_it(run_slam, short_recording, monkeypatch):
+    finish = Slam.finish
+
+    def interrupted_finish(slam):
+        os.kill(os.getpid(), signal.SIGINT)
+        return finish(slam)
+
+    monkeypatch.setattr(Slam, "finish", interrupted_finish)
+    ran = run_slam(short_recording(6))
+    assert ran.code == 0
+    assert names(ran.folder) == OUTPUTS
 
 
 def test_a_full_disk_keeps_what_was_written(run_slam, short_recording, monkeypatch):
