@@ -79,7 +79,7 @@ class Slam:
             RecognizerError: the recognizer failed; what was done until then can be finished.
         """
         self._check_frame(frame)
-        self._check_door("process")
+        self._enter("process", frame)
         with self.clock.stage("track"):
             tracked = self._odometry.track(frame)
         if isinstance(tracked, Rejection):
@@ -103,7 +103,7 @@ class Slam:
         """
         T_odom_cam = _checked_pose(frame.timestamp_s, T_odom_cam)
         self._check_frame(frame)
-        self._check_door("add_keyframe")
+        self._enter("add_keyframe", frame)
         last = self._keyframes[-1] if self._keyframes else None
         keyframe = Keyframe(
             id=len(self._keyframes),
@@ -202,10 +202,10 @@ class Slam:
         translation_m = self._config.graph.outside_translation_sigma_m
         return np.diag([rotation_rad**-2.0] * 3 + [translation_m**-2.0] * 3)
 
-    def _check_door(self, door: str) -> None:
+    def _enter(self, door: str, frame: Frame) -> None:
         if self._door not in ("", door):
             raise SlamError(f"this run goes through {self._door}; start another Slam for {door}")
-        self._door = door
+        self._door, self._last_s = door, frame.timestamp_s
 
     def _check_frame(self, frame: Frame) -> None:
         if not frame.timestamp_s > self._last_s:
@@ -223,7 +223,6 @@ class Slam:
                 f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"
                 f" {frame.depth_m.shape}, but the camera makes {(*wanted, 3)} and {wanted}"
             )
-        self._last_s = frame.timestamp_s
 
 
 def _checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
