@@ -26,8 +26,8 @@ from slam.config import GraphConfig
 from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize, pose_at
 from slam.pose_graph.g2o import read_g2o
-from slam.pose_graph.robust import HOLDS, solve_robustly
-from slam.types import FloatArray, SlamError
+from slam.pose_graph.robust import solve_robustly
+from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, SlamError
 
 # Half chi-square of the best optima known.
 REFERENCES = {
@@ -116,7 +116,7 @@ def stress(problem: Problem, kind: str, share: float, seed: int) -> Stress:
     solution = solve_robustly(spoilt.graph, spoilt.chain, spoilt.loops, INLIER_PROBABILITY)
     contested = contested_motions(spoilt.graph, spoilt.chain, spoilt.loops, solution)
     seconds = time.perf_counter() - start
-    kept = solution.weights[spoilt.loops] > HOLDS
+    kept = solution.weights[spoilt.loops] > MIN_TRUSTED_WEIGHT
     count = len(problem.loops)
     true_kept, false_kept = int(kept[:count].sum()), int(kept[count:].sum())
     return Stress(true_kept, count, false_kept, len(kept) - count, doubts(kept, contested), seconds)

@@ -151,6 +151,10 @@ class Verification:
     inlier_mask: NDArray[np.bool_]
 
 
+MIN_TRUSTED_WEIGHT = 0.5
+"""A motion that the pose graph gives no more weight than this is left out; most end at 0 or 1."""
+
+
 @dataclass(frozen=True)
 class LoopAttempt:
     """Every candidate that was looked at, accepted or not, and why.
@@ -170,11 +174,6 @@ class LoopAttempt:
     verification: Verification | None
     outcome: RelativePose | Rejection
     weight: float | None = None
-
-    @property
-    def is_accepted(self) -> bool:
-        """Whether geometry confirmed the loop (the graph may still give it weight 0)."""
-        return isinstance(self.outcome, RelativePose)
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The final word on a loop attempt, after geometry and the pose graph have both been heard."""
 
-from slam.types import LoopAttempt, Rejection, RejectionReason, RelativePose
-
-MIN_TRUSTED_WEIGHT = 0.5
-"""The pose graph takes no notice of a loop that it gives no more weight than this."""
+from slam.types import (
+    MIN_TRUSTED_WEIGHT,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+)
 
 
 def final_rejection(attempt: LoopAttempt) -> Rejection | None:

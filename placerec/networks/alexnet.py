@@ -3,7 +3,7 @@
 
 from torch import nn
 
-from placerec.networks.preprocessing import Preprocessing
+from placerec.networks.preprocessing import IMAGENET_MEAN, IMAGENET_SCALE, Preprocessing
 from placerec.networks.trunk import Trunk, with_random_weights
 
 
@@ -32,8 +32,8 @@ ALEXNET = Trunk(
     preprocessing=Preprocessing(
         width_px=224,
         height_px=224,
-        mean=(123.675, 116.28, 103.53),
-        scale=(58.395, 57.12, 57.375),
+        mean=IMAGENET_MEAN,
+        scale=IMAGENET_SCALE,
     ),
     blocks={"conv1": 2, "conv2": 5, "conv3": 8, "conv4": 10, "conv5": 12, "pool5": 13},
     name_in_file="features.{}".format,

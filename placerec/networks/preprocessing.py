@@ -11,6 +11,10 @@ from torch import Tensor
 
 from placerec.recognizer import RecognizerError
 
+IMAGENET_MEAN = (123.675, 116.28, 103.53)
+IMAGENET_SCALE = (58.395, 57.12, 57.375)
+"""Of ImageNet's pixels, R G B from 0 to 255: what torchvision's networks were trained with."""
+
 
 @dataclass(frozen=True)
 class Preprocessing:

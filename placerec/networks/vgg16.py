@@ -3,7 +3,7 @@
 
 from torch import nn
 
-from placerec.networks.preprocessing import Preprocessing
+from placerec.networks.preprocessing import IMAGENET_MEAN, IMAGENET_SCALE, Preprocessing
 from placerec.networks.trunk import Trunk, with_random_weights
 
 STAGES = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
@@ -39,8 +39,8 @@ VGG16 = Trunk(
     preprocessing=Preprocessing(
         width_px=224,
         height_px=224,
-        mean=(123.675, 116.28, 103.53),
-        scale=(58.395, 57.12, 57.375),
+        mean=IMAGENET_MEAN,
+        scale=IMAGENET_SCALE,
     ),
     blocks=_blocks(),
     name_in_file="features.{}".format,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.batch import factor_errors
-from slam.pose_graph.robust import HOLDS, RobustSolution
+from slam.pose_graph.robust import RobustSolution
+from slam.types import MIN_TRUSTED_WEIGHT
 
 # A motion is contested where one estimator believes it and to the other its error is more than this
 # many times the limit, twice the residual: those near the limit bend the map little either way.
@@ -36,7 +37,7 @@ def contested_motions(
     kernel_width = float(np.sqrt(2.0 * limits.min()))
     cauchy = gtsam.noiseModel.mEstimator.Cauchy(kernel_width)
     second = factor_errors(graph, _reweighted(graph, initial, doubted, cauchy))[doubted] / limits
-    kept = solution.weights[doubted] > HOLDS
+    kept = solution.weights[doubted] > MIN_TRUSTED_WEIGHT
     return np.where(kept, second > _CLEARLY_OUT, (second < 1.0) & (first > _CLEARLY_OUT))
 
 

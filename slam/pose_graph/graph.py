@@ -10,13 +10,12 @@ from slam.config import GraphConfig
 from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize
 from slam.pose_graph.robust import (
-    HOLDS,
     LINEAR,
     SUPER_LINEAR,
     RobustSolution,
     solve_robustly,
 )
-from slam.types import FloatArray, Link, RelativePose, SlamError
+from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, Link, RelativePose, SlamError
 
 _ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
 # While running, loops wait until there are this many more of them than at the last robust solve:
@@ -145,7 +144,7 @@ class PoseGraph:
             values = solution.values
             contested = contested_motions(graph, self._chain, doubted, solution)
             weights = np.array(list(self._weights.values()))
-            warnings = doubts(weights > HOLDS, contested[len(self._side_links) :])
+            warnings = doubts(weights > MIN_TRUSTED_WEIGHT, contested[len(self._side_links) :])
         self._restart(optimize(self._trusted(), values))
         poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
         return GraphSolution(poses, dict(self._weights), warnings)
@@ -180,10 +179,10 @@ class PoseGraph:
         """Return the graph of the odometry and of those other motions that hold."""
         graph = self._odometry.clone()
         for factor, weight in zip(self._side_links, self._side_weights, strict=True):
-            if weight > HOLDS:
+            if weight > MIN_TRUSTED_WEIGHT:
                 graph.add(factor)
         for key, weight in self._weights.items():
-            if weight > HOLDS:
+            if weight > MIN_TRUSTED_WEIGHT:
                 graph.add(self._loops[key])
         return graph
 

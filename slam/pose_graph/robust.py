@@ -16,7 +16,6 @@ from slam.types import FloatArray
 
 SUPER_LINEAR = gtsam.GncScheduler.SuperLinear
 LINEAR = gtsam.GncScheduler.Linear
-HOLDS = 0.5  # a factor with more weight than this is kept; in the end weights are near 0 or 1
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def test_a_place_seen_again_is_a_loop_with_the_match_as_reference(views):
     loop_closer = closer(camera=views.camera)
     assert loop_closer.close(keyframe(0, views.reference, 0.0), direction(0)) == ()
     (attempt,) = loop_closer.close(keyframe(1, views.query, 10.0), direction(10))
-    assert attempt.is_accepted and pairs([attempt]) == [(1, 0)]
+    assert isinstance(attempt.outcome, RelativePose) and pairs([attempt]) == [(1, 0)]
     assert attempt.similarity == pytest.approx(np.cos(np.radians(10)))
     assert attempt.weight is None
     np.testing.assert_allclose(attempt.outcome.T_ref_query, T_REF_QUERY, atol=1e-6)
@@ -120,7 +120,7 @@ def test_too_little_similarity_is_an_attempt_with_the_best_of_them(views):
     attempts = run(closer(camera=views.camera), views, [80, 50, 60, 120, 121, 0])
     (attempt,) = attempts[-1]
     assert pairs([attempt]) == [(5, 1)]
-    assert attempt.verification is None and not attempt.is_accepted
+    assert attempt.verification is None and not isinstance(attempt.outcome, RelativePose)
     similarity = pytest.approx(np.cos(np.radians(50)))
     assert attempt.similarity == similarity
     assert attempt.outcome.reason is RejectionReason.LOW_SIMILARITY
@@ -148,7 +148,9 @@ def test_geometry_may_say_no_to_what_looks_alike(views, make_views):
     loop_closer.close(keyframe(0, views.reference, 0.0), direction(0))
     (attempt,) = loop_closer.close(keyframe(1, other.query, 10.0), direction(0))
     assert attempt.outcome.reason is RejectionReason.FEW_MATCHES
-    assert attempt.verification.outcome == attempt.outcome and not attempt.is_accepted
+    assert attempt.verification.outcome == attempt.outcome and not isinstance(
+        attempt.outcome, RelativePose
+    )
 
 
 def test_a_blank_keyframe_is_remembered_and_rejected(views):

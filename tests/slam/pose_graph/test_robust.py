@@ -8,7 +8,8 @@ import pytest
 
 from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import factor_errors, optimize, pose_at
-from slam.pose_graph.robust import HOLDS, LINEAR, SUPER_LINEAR, solve_robustly
+from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, solve_robustly
+from slam.types import MIN_TRUSTED_WEIGHT
 
 LAP = 20
 SIGMAS = np.array([0.02, 0.02, 0.01])
@@ -40,7 +41,7 @@ FALSE = [(i, i + LAP // 2, gtsam.Pose2(0.1 * i, 0.0, 0.2 * i)) for i in range(LA
 def test_a_planar_graph_keeps_its_true_loops_only(schedules: tuple[Any, ...]) -> None:
     graph, chain, loops = planar_laps(TRUE + FALSE)
     solution = solve_robustly(graph, chain, loops, 0.99, schedules)
-    kept = solution.weights[loops] > HOLDS
+    kept = solution.weights[loops] > MIN_TRUSTED_WEIGHT
     assert kept.tolist() == [True] * len(TRUE) + [False] * len(FALSE)
     assert (np.delete(solution.weights, loops) == 1.0).all()
 
@@ -63,7 +64,7 @@ def test_nothing_is_doubted_where_the_estimators_agree() -> None:
     graph, chain, loops = planar_laps(TRUE + FALSE)
     solution = solve_robustly(graph, chain, loops, 0.99)
     contested = contested_motions(graph, chain, loops, solution)
-    assert doubts(solution.weights[loops] > HOLDS, contested) == ()
+    assert doubts(solution.weights[loops] > MIN_TRUSTED_WEIGHT, contested) == ()
 
 
 def test_a_wrong_answer_is_contested() -> None:
@@ -80,7 +81,7 @@ def test_a_wrong_answer_is_contested() -> None:
     contested = contested_motions(graph, chain, loops, wrong)
     assert contested[-1]
     assert contested[: len(TRUE)].any()
-    (sentence,) = doubts(weights[loops] > HOLDS, contested)
+    (sentence,) = doubts(weights[loops] > MIN_TRUSTED_WEIGHT, contested)
     assert f"{contested.sum()} of {len(loops)} loops (1 were kept, 1 of them contested)" in sentence
 
 

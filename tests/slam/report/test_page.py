@@ -14,7 +14,7 @@ import pytest
 
 from slam.report import write_report
 from slam.report.page import render
-from slam.types import RejectionReason, SlamResult, Trajectory
+from slam.types import RejectionReason, RelativePose, SlamResult, Trajectory
 
 SECTIONS = ("drift", "path", "loops", "places", "gallery", "decisions", "time", "settings")
 VOID = {"meta", "link", "img", "br", "path", "use", "rect", "image", "line", "circle", "stop"}
@@ -146,7 +146,9 @@ def test_nan_similarities_are_left_blank(run, altered) -> None:
 
 
 def test_all_rejected_and_untracked_frames(run, altered) -> None:
-    rejected = tuple(one for one in run.result.attempts if not one.is_accepted)
+    rejected = tuple(
+        one for one in run.result.attempts if not isinstance(one.outcome, RelativePose)
+    )
     lost = np.array([3.33, 3.36, 25.0])
     page = page_of(altered(attempts=rejected, untracked_s=lost))
     assert f"0 of {len(rejected)} candidates were accepted" in page.text
