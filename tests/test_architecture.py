@@ -21,6 +21,11 @@ NAMES_THAT_SAY_NOTHING = {"utils", "util", "core", "common", "helpers", "base", 
 # Parts that show their behaviour only as a whole, and the test that runs them to the last lines.
 TESTED_WITHIN = {
     "placerec/checkpoint.py": "placerec/test_training.py",
+    "placerec/commands/calibrate.py": "placerec/test_cli.py",
+    "placerec/commands/check.py": "placerec/test_cli.py",
+    "placerec/commands/data.py": "placerec/test_cli.py",
+    "placerec/commands/evaluate.py": "placerec/test_cli.py",
+    "placerec/commands/train.py": "placerec/test_training_run.py",
     "placerec/early_layers.py": "placerec/test_training.py",
     "placerec/learner.py": "placerec/test_training.py",
     "placerec/networks/alexnet.py": "placerec/networks/test_pretrained.py",

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The datasets that commands are given: opened, described, embedded before people's eyes."""
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from placerec.datasets import PlaceDataset, open_dataset
+from placerec.evaluation import embed_all
+from placerec.recognizer import PlaceRecognizer
+
+RECOGNIZER = "NAME|MODULE:CLASS|FILE"
+"""How the helps write what `load` takes."""
+
+
+def open_data(source: str, part: str = "test") -> PlaceDataset:
+    """Open a dataset and name the images of it that cannot be read.
+
+    Raises:
+        RecognizerError: it cannot be opened.
+    """
+    dataset = open_dataset(source, part)
+    for broken in dataset.skipped:
+        print(f"placerec: skipped: {broken.why}: {broken.path}", file=sys.stderr)
+    return dataset
+
+
+def embed_data(
+    name: str, recognizer: PlaceRecognizer, dataset: PlaceDataset
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return the (N, D) embeddings of a dataset and the (N,) seconds each took, under a bar.
+
+    Raises:
+        RecognizerError: the recognizer fails, or an image can no longer be read.
+    """
+    title = f"{name} on {dataset.name}"
+    # disable=None: no bar where nobody watches, as in a file.
+    images = tqdm(dataset, desc=title, unit="image", leave=False, disable=None)
+    return embed_all(recognizer, images)
+
+
+def describe(dataset: PlaceDataset) -> str:
+    """Return how many images, pairs and revisits there are, in one line."""
+    revisits = dataset.comparable & dataset.same_place
+    found = revisits.any(axis=1)
+    return (
+        f"{dataset.name}: {len(dataset)} images ({len(dataset.skipped)} skipped), "
+        f"{dataset.pairs.sum()} pairs count, {(dataset.pairs & revisits).sum()} of them show one "
+        f"place; {found.sum()} of {found.size} queries have a match"
+    )

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`placerec train`: learn to tell the places of some images apart."""
+
+from contextlib import closing
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from tqdm import tqdm
+
+from placerec.commands.data import open_data
+from placerec.datasets import LabelledImages
+from placerec.interruption import deferred_interrupts
+from placerec.recognizer import RecognizerError
+from placerec.training_plan import TrainingPlan
+
+if TYPE_CHECKING:
+    from placerec.training import Training
+
+
+def train(
+    data: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
+    ],
+    /,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    plan: Annotated[TrainingPlan, tyro.conf.arg(name="")],
+) -> int:
+    """Train a recognizer on images of known places; the same command goes on with a stopped one.
+
+    Example: placerec train ie_tower --out runs/tower --weights mobilenet_v2.npz --minutes 60
+
+    DIR then holds weights.safetensors, whose path names the recognizer from then on, log.csv and
+    log.png. Measure and calibrate it on other images than these.
+
+    Args:
+        data: folders in the formats of evaluate; of clips, the floors for training.
+        out: folder for the results and the checkpoint.
+        plan: what is trained, and how.
+    """
+    # Loaded here, because torch takes seconds that the other commands do not need.
+    from placerec.training_run import start_training, write_results
+    from placerec.workers import Workers
+
+    if not data:
+        raise RecognizerError("train needs at least one folder of images; see --help")
+    images, workers = LabelledImages([open_data(source, "train") for source in data]), Workers()
+    with deferred_interrupts() as interrupted:
+        bar = _TrainingBar(plan.steps, interrupted, is_shown=workers.is_first)
+        try:
+            training = start_training(plan, images, out, workers, bar.look)
+            bar.follow(training)
+        except KeyboardInterrupt:
+            raise RecognizerError(f"stopped; the same command goes on from here: {out}") from None
+        finally:
+            bar.close()
+    if workers.is_first:
+        path = write_results(training, plan, out)
+        print(f"the training is over: {training.end}\nwritten to {path}, not calibrated yet")
+    return 0
+
+
+class _TrainingBar:
+    """What a training is doing, in one line."""
+
+    def __init__(self, steps: int | None, interrupted: Event, *, is_shown: bool) -> None:
+        self._interrupted = interrupted
+        hidden = None if is_shown else True
+        self._bar = tqdm(total=steps, desc="training", unit="step", leave=False, disable=hidden)
+        self.close = self._bar.close
+
+    def look(self, done: int, total: int) -> None:
+        self._show(f"looking at image {done} of {total}")
+
+    def follow(self, training: "Training") -> None:
+        # Closed, it writes its checkpoint at once.
+        with closing(iter(training)) as records:
+            for record in records:
+                self._bar.update(record.step - self._bar.n)
+                self._show(
+                    f"loss {record.loss:.3f}, {record.sets_left} sets left, "
+                    f"{record.images_per_s:.0f} images/s, {record.time_to_go_s / 60:.1f} min to go"
+                )
+
+    def _show(self, what: str) -> None:
+        self._bar.set_postfix_str(what)
+        if self._interrupted.is_set():
+            raise KeyboardInterrupt
