@@ -1,37 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which format a folder of images is in."""
 
+import re
 from pathlib import Path
 
 from placerec.datasets.clips import PARTS, read_clips
-from placerec.datasets.frame_pairs import read_frame_pairs
+from placerec.datasets.frame_pairs import read_drives, read_frame_pairs
 from placerec.datasets.oxford import find_ground_truth, read_oxford
 from placerec.datasets.place_dataset import PlaceDataset
-from placerec.datasets.tum import read_tum
+from placerec.datasets.tum import read_tum, read_tum_sessions
 from placerec.recognizer import RecognizerError
 
 
 def open_dataset(source: str, part: str = "test") -> PlaceDataset:
-    """Open a folder in any known format, as FOLDER or, for one of clips, as FOLDER:PART.
+    """Open a folder in any known format, a part of one, or one folder against another.
 
     Args:
-        source: the folder, with or without a part.
+        source: FOLDER; FOLDER:PART of one of clips; or QUERY+REFERENCE, two recordings in one
+            world or, as QUERY+REFERENCE:FRAMES, two folders of images with a tolerance.
         part: of a folder of clips, where the source names none.
 
     Raises:
         RecognizerError: there is no such folder or part, it is in no known format, or it is broken.
     """
+    try:
+        sessions = _split_sessions(source)
+        return _read_sessions(*sessions) if sessions else _read_folder(source, part)
+    except OSError as error:
+        raise RecognizerError(f"cannot look into the folder: {error.strerror}: {source}") from error
+
+
+def _read_folder(source: str, part: str) -> PlaceDataset:
     folder, named = _split(source)
     if not folder.is_dir():
         raise RecognizerError(f"there is no such folder: {folder}")
-    try:
-        if (folder / "dataset.csv").is_file():
-            return read_clips(folder, named or part)
-        if named:
-            raise RecognizerError(f"only a folder of clips has parts, no {named!r} here: {folder}")
-        return _read_whole(folder)
-    except OSError as error:
-        raise RecognizerError(f"cannot look into the folder: {error.strerror}: {folder}") from error
+    if (folder / "dataset.csv").is_file():
+        return read_clips(folder, named or part)
+    if named:
+        raise RecognizerError(f"only a folder of clips has parts, no {named!r} here: {folder}")
+    return _read_whole(folder)
+
+
+def _read_sessions(queries: Path, references: Path, tolerance: str | None) -> PlaceDataset:
+    for folder in (queries, references):
+        if not folder.is_dir():
+            raise RecognizerError(f"there is no such folder: {folder}")
+    if queries.resolve() == references.resolve():
+        raise RecognizerError(f"both sides of + are one folder; name it once, alone: {queries}")
+    are_recordings = [(folder / "rgb.txt").is_file() for folder in (queries, references)]
+    if all(are_recordings) and tolerance is None:
+        return read_tum_sessions(queries, references)
+    if any(are_recordings):
+        raise RecognizerError(
+            "+ takes two TUM RGB-D recordings, or two folders of images and a tolerance in frames "
+            f"(QUERY+REFERENCE:2): {queries} and {references}"
+        )
+    if tolerance is None:
+        return read_drives(queries, references)
+    if not tolerance.isdecimal():
+        raise RecognizerError(f"the tolerance is a number of frames from 0, not {tolerance!r}")
+    return read_drives(queries, references, int(tolerance))
+
+
+def _split_sessions(source: str) -> tuple[Path, Path, str | None] | None:
+    """Return both folders and what follows a colon; None where the source is one folder."""
+    if _split(source)[0].is_dir():
+        return None
+    for plus in re.finditer(re.escape("+"), source):
+        queries, references = source[: plus.start()], source[plus.end() :]
+        if Path(queries).is_dir():
+            return Path(queries), *_split(references)
+    return None
 
 
 def _split(source: str) -> tuple[Path, str | None]:

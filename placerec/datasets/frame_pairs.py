@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two drives of one path, whose frames match with a tolerance: folders query and ref."""
+"""Two drives of one path, whose frames match with a tolerance: query and ref, or any folders."""
 
 from pathlib import Path
 
@@ -28,10 +28,38 @@ def read_frame_pairs(folder: Path, tolerance_frames: int = TOLERANCE_FRAMES) -> 
     if table.is_file():
         same_place = _read_matches(table, len(queries), len(references))
     else:
-        steps = np.arange(len(queries))[:, None] - np.arange(len(references))
-        same_place = np.abs(steps) <= tolerance_frames
+        same_place = _within(tolerance_frames, len(queries), len(references))
+    return _pair(folder.resolve().name, queries, references, same_place)
+
+
+def read_drives(
+    query_folder: Path, reference_folder: Path, tolerance_frames: int = TOLERANCE_FRAMES
+) -> PlaceDataset:
+    """Read two folders of images, taken at the same pace; numbers up to the tolerance apart match.
+
+    Raises:
+        RecognizerError: there is no image, or most are broken.
+    """
+    queries, references = images_in(query_folder), images_in(reference_folder)
+    for folder, images in ((query_folder, queries), (reference_folder, references)):
+        if not images:
+            raise RecognizerError(f"there is no image in the folder: {folder}")
+    same_place = _within(tolerance_frames, len(queries), len(references))
+    name = f"{query_folder.resolve().name}+{reference_folder.resolve().name}"
+    return _pair(name, queries, references, same_place)
+
+
+def _within(tolerance_frames: int, queries: int, references: int) -> NDArray[np.bool_]:
+    steps = np.arange(queries)[:, None] - np.arange(references)
+    same_place: NDArray[np.bool_] = np.abs(steps) <= tolerance_frames
+    return same_place
+
+
+def _pair(
+    name: str, queries: list[Path], references: list[Path], same_place: NDArray[np.bool_]
+) -> PlaceDataset:
     dataset = PlaceDataset(
-        name=folder.resolve().name,
+        name=name,
         paths=(*queries, *references),
         queries=np.arange(len(queries)),
         references=len(queries) + np.arange(len(references)),

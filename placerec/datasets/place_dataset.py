@@ -30,6 +30,7 @@ class PlaceDataset:
         comparable: (Q, R) bool, the pairs that count; others are neither right nor wrong.
         places: (N,) int64, a label per image to train with; None where only pairs are known.
         timestamps_s: (N,) float64, where they are known.
+        positions_m: (N, 3) float64, true places of the camera in one world, where they are known.
         skipped: listed images that cannot be read, not among the N.
     """
 
@@ -41,6 +42,7 @@ class PlaceDataset:
     comparable: BoolMatrix
     places: NDArray[np.int64] | None = None
     timestamps_s: NDArray[np.float64] | None = None
+    positions_m: NDArray[np.float64] | None = None
     skipped: tuple[BrokenImage, ...] = ()
 
     def __len__(self) -> int:
@@ -81,6 +83,7 @@ class PlaceDataset:
             comparable=self.comparable[np.ix_(rows, columns)],
             places=None if self.places is None else self.places[keep],
             timestamps_s=None if self.timestamps_s is None else self.timestamps_s[keep],
+            positions_m=None if self.positions_m is None else self.positions_m[keep],
         )
 
 

@@ -2,6 +2,7 @@
 """Recordings in the format of the TUM RGB-D benchmark: places from camera poses (eq. 10)."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,15 @@ STRIDE = 3
 FloatArray = NDArray[np.float64]
 
 
+class Recording(NamedTuple):
+    """The used frames of one recording: (N,) seconds and files, (N, 3) metres, (N, 4) x y z w."""
+
+    timestamps_s: FloatArray
+    paths: tuple[Path, ...]
+    positions_m: FloatArray
+    quaternions: FloatArray
+
+
 def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
     """Read a folder with rgb.txt and groundtruth.txt; its depth is not looked at.
 
@@ -30,6 +40,55 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
     Raises:
         RecognizerError: a list cannot be used, no frame has a true pose, or most images are broken.
     """
+    recording = _read_recording(folder, stride)
+    distance = pose_distance(recording.positions_m, recording.quaternions)
+    everyone = np.arange(len(recording.paths))
+    apart_s = np.abs(recording.timestamps_s[:, None] - recording.timestamps_s)
+    dataset = PlaceDataset(
+        name=_short_name(folder),
+        paths=recording.paths,
+        queries=everyone,
+        references=everyone,
+        same_place=distance < MAX_DISTANCE,
+        comparable=apart_s > MIN_GAP_S,
+        places=_label(distance),
+        timestamps_s=recording.timestamps_s,
+        positions_m=recording.positions_m,
+    )
+    return keep_readable(dataset)
+
+
+def read_tum_sessions(
+    query_folder: Path, reference_folder: Path, stride: int = STRIDE
+) -> PlaceDataset:
+    """Read two recordings of one room: the frames of one look for their place in the other.
+
+    The true poses of both must be in one world, as are those of the benchmark's freiburg1.
+
+    Raises:
+        RecognizerError: as for one recording.
+    """
+    sessions = [_read_recording(folder, stride) for folder in (query_folder, reference_folder)]
+    timestamps_s, paths, positions_m, quaternions = zip(*sessions, strict=True)
+    everywhere_m = np.concatenate(positions_m)
+    distance = pose_distance(everywhere_m, np.concatenate(quaternions))
+    first = len(paths[0])
+    same_place = distance[:first, first:] < MAX_DISTANCE
+    dataset = PlaceDataset(
+        name=f"{_short_name(query_folder)}+{_short_name(reference_folder)}",
+        paths=(*paths[0], *paths[1]),
+        queries=np.arange(first),
+        references=np.arange(first, len(distance)),
+        same_place=same_place,
+        comparable=np.ones_like(same_place),
+        places=_label(distance),
+        timestamps_s=np.concatenate(timestamps_s),
+        positions_m=everywhere_m,
+    )
+    return keep_readable(dataset)
+
+
+def _read_recording(folder: Path, stride: int) -> Recording:
     frames_s, paths = _read_frames(folder / "rgb.txt")
     truth_s, positions_m, quaternions = _read_truth(folder / "groundtruth.txt")
     nearest = _nearest(frames_s, truth_s)
@@ -40,20 +99,16 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
             f"no image has a true pose within {MAX_TIME_DIFFERENCE_S} s; the nearest is "
             f"{difference_s.min():.6g} s away: {folder}"
         )
-    timestamps_s = frames_s[used]
-    distance = pose_distance(positions_m[nearest[used]], quaternions[nearest[used]])
-    everyone = np.arange(len(used))
-    dataset = PlaceDataset(
-        name=folder.resolve().name.replace("rgbd_dataset_freiburg", "fr"),
+    return Recording(
+        timestamps_s=frames_s[used],
         paths=tuple(paths[i] for i in used),
-        queries=everyone,
-        references=everyone,
-        same_place=distance < MAX_DISTANCE,
-        comparable=np.abs(timestamps_s[:, None] - timestamps_s) > MIN_GAP_S,
-        places=_label(distance),
-        timestamps_s=timestamps_s,
+        positions_m=positions_m[nearest[used]],
+        quaternions=quaternions[nearest[used]],
     )
-    return keep_readable(dataset)
+
+
+def _short_name(folder: Path) -> str:
+    return folder.resolve().name.replace("rgbd_dataset_freiburg", "fr")
 
 
 def pose_distance(positions_m: FloatArray, quaternions: FloatArray) -> FloatArray:

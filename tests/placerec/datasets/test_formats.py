@@ -32,6 +32,62 @@ def test_part_of_clips_is_named_behind_a_colon(tmp_path, write_image):
     assert validation.paths[0].parent.name == "floor9"
 
 
+@pytest.fixture
+def sessions(tmp_path, write_image):
+    """Write two recordings that go the same three metres, in a folder whose name has a plus."""
+    for name in ("a+", "b"):
+        for i in range(3):
+            write_image(tmp_path / f"{name}/{i}.png", seed=i)
+    return tmp_path
+
+
+def record(folder):
+    (folder / "rgb.txt").write_text("".join(f"{i}.0 {i}.png\n" for i in range(3)))
+    (folder / "groundtruth.txt").write_text("".join(f"{i}.0 {i} 0 0 0 0 0 1\n" for i in range(3)))
+
+
+def test_one_recording_is_looked_for_in_another(sessions):
+    record(sessions / "a+")
+    record(sessions / "b")
+    dataset = open_dataset(f"{sessions}/a++{sessions}/b")
+    assert (dataset.name, len(dataset)) == ("a++b", 2)  # of each, every third frame
+    assert dataset.queries.tolist() == [0]
+    assert dataset.references.tolist() == [1]
+    assert open_dataset(f"{sessions}/a+").name == "a+"
+
+
+def test_two_folders_of_images_match_within_a_tolerance(sessions):
+    matches = [[1, 1, 0], [1, 1, 1], [0, 1, 1]]
+    dataset = open_dataset(f"{sessions}/a++{sessions}/b:1")
+    assert dataset.same_place.astype(int).tolist() == matches
+    assert dataset.comparable.all()
+    assert open_dataset(f"{sessions}/a++{sessions}/b").same_place.all()  # two frames, untold
+
+
+@pytest.mark.parametrize(
+    ("second", "message"),
+    [
+        ("b", r"two TUM RGB-D recordings, or two folders of images"),
+        ("b:2", r"two TUM RGB-D recordings, or two folders of images"),
+        ("missing", "no such folder"),
+        ("missing:2", "no such folder"),
+        ("a+", "both sides of .+ are one folder"),
+    ],
+)
+def test_sessions_that_do_not_go_together(sessions, second, message):
+    record(sessions / "a+")
+    with pytest.raises(RecognizerError, match=message):
+        open_dataset(f"{sessions}/a++{sessions}/{second}")
+
+
+def test_a_tolerance_is_a_number_and_there_must_be_images(sessions):
+    with pytest.raises(RecognizerError, match="number of frames from 0, not '-1'"):
+        open_dataset(f"{sessions}/a++{sessions}/b:-1")
+    (sessions / "empty").mkdir()
+    with pytest.raises(RecognizerError, match="no image in the folder: "):
+        open_dataset(f"{sessions}/b+{sessions}/empty")
+
+
 @pytest.mark.parametrize("source", ["missing", "missing:test", ""])
 def test_missing_folder_is_refused_in_one_line(tmp_path, source):
     with pytest.raises(RecognizerError, match=r"(no such folder|no known format).*: "):

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from placerec.datasets.tum import pose_distance, read_tum
+from placerec.datasets.tum import pose_distance, read_tum, read_tum_sessions
 from placerec.recognizer import RecognizerError
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -16,6 +16,20 @@ def test_desk_has_the_numbers_of_the_protocol(real_data):
     assert revisits.any(axis=1).sum() == 128
     assert (desk.pairs & desk.same_place).sum() == 567
     assert desk.skipped == ()
+
+
+def test_desk_in_the_room_of_the_other_recording(real_data):
+    folders = [real_data(f"rgbd_dataset_freiburg1_{name}") for name in ("desk", "xyz")]
+    both = read_tum_sessions(*folders)
+    alone = read_tum(folders[0])
+    assert both.name == "fr1_desk+fr1_xyz"
+    assert both.paths[: len(alone)] == alone.paths
+    assert (both.queries.size, both.references.size) == (205, 133)
+    assert (both.same_place.any(axis=1)).sum() == 29
+    i, j = np.argwhere(both.same_place)[0]
+    metres = np.linalg.norm(both.positions_m[i] - both.positions_m[205 + j])
+    assert metres < 0.6
+    assert both.comparable.all()
 
 
 def test_distance_is_metres_plus_radians():
