@@ -23,9 +23,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from placerec.user_cache import cache_folder
 from slam.arguments import DEFAULT_RECOGNIZER
 from slam.cli import DEMO
-from slam.datasets.download import cache_folder
 
 NAMES = (DEMO, "fr1_desk", "fr1_xyz")
 SAME_EVERY_RUN = ("trajectory.txt", "loops.jsonl")

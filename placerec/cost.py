@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 BATCH = 10_000
+MAX_BATCH_BYTES = 256 * 2**20
+"""Fewer are compared at a time where they would take up more than this."""
 REPEATS = 30
 
 
@@ -17,8 +19,9 @@ class Cost:
 
     Attributes:
         embed_ms: median time to embed it.
-        compare_ms: time to compare it with one other, in a batch of 10,000; the least of several
-            tries, because one that took longer has waited for other work of the machine.
+        compare_ms: time to compare it with one other, in a batch of 10,000 (long ones fewer); the
+            least of several tries, because one that took longer has waited for other work of the
+            machine.
         dimension: how many values an embedding has.
         embedding_bytes: what they take up in memory.
     """
@@ -41,10 +44,11 @@ def measure_cost(embeddings: NDArray[np.float32], embed_s: NDArray[np.float64]) 
 
 
 def _compare_ms(embedding: NDArray[np.float32]) -> float:
-    batch = np.tile(embedding, (BATCH, 1))
+    count = max(1, min(BATCH, MAX_BATCH_BYTES // embedding.nbytes))
+    batch = np.tile(embedding, (count, 1))
     seconds = []
     for _ in range(REPEATS):
         start = perf_counter()
         batch @ embedding
         seconds.append(perf_counter() - start)
-    return 1e3 * min(seconds) / BATCH
+    return 1e3 * min(seconds) / count

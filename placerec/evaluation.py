@@ -4,15 +4,13 @@
 Wherever similarities are equal, no order is assumed in the recognizer's favour.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets import PlaceDataset
-from placerec.recognizer import CheckedRecognizer, PlaceRecognizer, RecognizerError
+from placerec.recognizer import RecognizerError
 
 FloatArray = NDArray[np.float64]
 Embeddings = NDArray[np.float32]
@@ -46,19 +44,47 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class BestMatches:
+    """The most similar reference of each query that has any to be compared with.
+
+    Attributes:
+        queries, references: (B,) int64, rows and columns of the dataset's matrices.
+        similarities: (B,) float32.
+        are_right: (B,) bool, whether both show one place; where a wrong reference is as similar as
+            a right one, the wrong one is the match.
+    """
+
+    queries: NDArray[np.int64]
+    references: NDArray[np.int64]
+    similarities: Similarities
+    are_right: NDArray[np.bool_]
+
+    def first(self, *, right: bool) -> int | None:
+        """Return the index of the most similar right (or wrong) match, None where there is none."""
+        chosen = np.flatnonzero(self.are_right == right)
+        return int(chosen[np.argmax(self.similarities[chosen])]) if chosen.size else None
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """What a recognizer does on a dataset.
 
     Attributes:
+        similarities: (Q, R) float32, of all queries and references.
         pair_curve: over all pairs that count; its area is the average precision.
-        best_match_curve: over each query's most similar reference.
-        recall_at_1, recall_at_5: the share of queries with a right reference among the first k.
+        best_matches: each query's most similar reference.
+        best_match_curve: over these.
+        recall_at_1, recall_at_5, recall_at_10: the share of queries with a right reference among
+            the first k.
     """
 
+    similarities: Similarities
     pair_curve: Curve
+    best_matches: BestMatches
     best_match_curve: Curve
     recall_at_1: float
     recall_at_5: float
+    recall_at_10: float
 
 
 def evaluate(dataset: PlaceDataset, embeddings: Embeddings) -> Evaluation:
@@ -69,30 +95,29 @@ def evaluate(dataset: PlaceDataset, embeddings: Embeddings) -> Evaluation:
     """
     similarities = compare(embeddings, dataset)
     return Evaluation(
+        similarities=similarities,
         pair_curve=pair_curve(similarities, dataset),
+        best_matches=best_matches(similarities, dataset),
         best_match_curve=best_match_curve(similarities, dataset),
         recall_at_1=recall_at(1, similarities, dataset),
         recall_at_5=recall_at(5, similarities, dataset),
+        recall_at_10=recall_at(10, similarities, dataset),
     )
 
 
-def embed_all(
-    recognizer: PlaceRecognizer, images: Iterable[NDArray[np.uint8]]
-) -> tuple[Embeddings, FloatArray]:
-    """Return the (N, D) embeddings of N images and the (N,) seconds that each took.
+def refuse_without_truth(dataset: PlaceDataset) -> None:
+    """Refuse a dataset on which nothing can be measured.
 
     Raises:
-        RecognizerError: the recognizer fails or breaks its protocol, or there is no image.
+        RecognizerError: no two images of it are of one place, or of different ones.
     """
-    checked = CheckedRecognizer(recognizer)
-    embeddings, seconds = [], []
-    for image in images:
-        start = perf_counter()
-        embeddings.append(checked.embed(image))
-        seconds.append(perf_counter() - start)
-    if not embeddings:
-        raise RecognizerError("there is no image to embed")
-    return np.stack(embeddings), np.array(seconds)
+    same = dataset.same_place[dataset.pairs]
+    if not same.any() or same.all():
+        kind = "different places" if same.any() else "the same place"
+        raise RecognizerError(
+            f"{dataset.name} has no pair of images of {kind} among the {same.size} that count; "
+            "nothing can be measured on it"
+        )
 
 
 def compare(embeddings: Embeddings, dataset: PlaceDataset) -> Similarities:
@@ -110,7 +135,7 @@ def pair_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve:
     Raises:
         RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
-    _check(dataset)
+    refuse_without_truth(dataset)
     counted = dataset.pairs
     right = dataset.same_place[counted]
     return _curve(similarities[counted], right, total=int(right.sum()))
@@ -125,13 +150,20 @@ def best_match_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve
     Raises:
         RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
-    _check(dataset)
-    best_right, best_wrong = _best(similarities, dataset)
-    best = np.maximum(best_right, best_wrong)
-    has_match = best > -np.inf
-    right = best_right > best_wrong
-    total = int((best_right > -np.inf).sum())
-    return _curve(best[has_match], right[has_match], total)
+    refuse_without_truth(dataset)
+    best = best_matches(similarities, dataset)
+    revisits = (dataset.comparable & dataset.same_place).any(axis=1)
+    return _curve(best.similarities, best.are_right, total=int(revisits.sum()))
+
+
+def best_matches(similarities: Similarities, dataset: PlaceDataset) -> BestMatches:
+    """Return the most similar reference of each query, of those that may be compared with it."""
+    right, wrong = _split(similarities, dataset)
+    is_right = right.max(axis=1, initial=-np.inf) > wrong.max(axis=1, initial=-np.inf)
+    ranked = np.where(is_right[:, None], right, wrong)
+    queries = np.flatnonzero(ranked.max(axis=1, initial=-np.inf) > -np.inf)
+    references = ranked[queries].argmax(axis=1)
+    return BestMatches(queries, references, similarities[queries, references], is_right[queries])
 
 
 def recall_at(k: int, similarities: Similarities, dataset: PlaceDataset) -> float:
@@ -142,21 +174,18 @@ def recall_at(k: int, similarities: Similarities, dataset: PlaceDataset) -> floa
     Raises:
         RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
-    _check(dataset)
-    best_right, _ = _best(similarities, dataset)
-    wrong = dataset.comparable & ~dataset.same_place
-    ahead = (wrong & (similarities >= best_right[:, None])).sum(axis=1)
+    refuse_without_truth(dataset)
+    right, wrong = _split(similarities, dataset)
+    best_right = right.max(axis=1, initial=-np.inf)
+    ahead = (wrong >= best_right[:, None]).sum(axis=1)
     return float((ahead[best_right > -np.inf] < k).mean())
 
 
-def _best(similarities: Similarities, dataset: PlaceDataset) -> tuple[Similarities, Similarities]:
-    """Return each query's (Q,) largest similarity to a right and to a wrong reference."""
+def _split(similarities: Similarities, dataset: PlaceDataset) -> tuple[Similarities, Similarities]:
+    """Return the (Q, R) similarities of right pairs, and of wrong ones; all others are -inf."""
     right = dataset.comparable & dataset.same_place
     wrong = dataset.comparable & ~dataset.same_place
-    return (
-        np.where(right, similarities, -np.inf).max(axis=1, initial=-np.inf),
-        np.where(wrong, similarities, -np.inf).max(axis=1, initial=-np.inf),
-    )
+    return np.where(right, similarities, -np.inf), np.where(wrong, similarities, -np.inf)
 
 
 def _curve(similarities: Similarities, right: NDArray[np.bool_], total: int) -> Curve:
@@ -167,13 +196,3 @@ def _curve(similarities: Similarities, right: NDArray[np.bool_], total: int) -> 
     last = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
     recognised_right = np.cumsum(right[order])[last]
     return Curve(falling[last], recognised_right / (last + 1), recognised_right / total)
-
-
-def _check(dataset: PlaceDataset) -> None:
-    same = dataset.same_place[dataset.pairs]
-    if not same.any() or same.all():
-        kind = "different places" if same.any() else "the same place"
-        raise RecognizerError(
-            f"{dataset.name} has no pair of images of {kind} among the {same.size} that count; "
-            "nothing can be measured on it"
-        )

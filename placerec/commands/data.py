@@ -2,13 +2,15 @@
 """The datasets that commands are given: opened, described, embedded before people's eyes."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from placerec.datasets import PlaceDataset, open_dataset
-from placerec.evaluation import embed_all
+from placerec.embedded_images import Progress, embed_dataset
 from placerec.recognizer import PlaceRecognizer
 
 RECOGNIZER = "NAME|MODULE:CLASS|FILE"
@@ -27,6 +29,15 @@ def open_data(source: str, part: str = "test") -> PlaceDataset:
     return dataset
 
 
+@contextmanager
+def image_bar(name: str, dataset: PlaceDataset) -> Iterator[Progress]:
+    """Show a progress bar over a dataset's images while what is inside tells how many are done."""
+    # disable=None: no bar where nobody watches, as in a file.
+    title = f"{name} on {dataset.name}"
+    with tqdm(desc=title, total=len(dataset), unit="image", leave=False, disable=None) as bar:
+        yield lambda done, _: bar.update(done - bar.n)
+
+
 def embed_data(
     name: str, recognizer: PlaceRecognizer, dataset: PlaceDataset
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -35,10 +46,9 @@ def embed_data(
     Raises:
         RecognizerError: the recognizer fails, or an image can no longer be read.
     """
-    title = f"{name} on {dataset.name}"
-    # disable=None: no bar where nobody watches, as in a file.
-    images = tqdm(dataset, desc=title, unit="image", leave=False, disable=None)
-    return embed_all(recognizer, images)
+    with image_bar(name, dataset) as progress:
+        embedded = embed_dataset(recognizer, dataset, progress=progress)
+    return embedded.embeddings, embedded.seconds
 
 
 def describe(dataset: PlaceDataset) -> str:

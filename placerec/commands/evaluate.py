@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """`placerec evaluate`: how well do recognizers tell places apart, and what do they cost?"""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from placerec.commands.data import RECOGNIZER, describe, embed_data, open_data
-from placerec.cost import measure_cost
-from placerec.evaluation import evaluate as evaluate_embeddings
-from placerec.evaluation_table import LEGEND, Measured, evaluation_table
-from placerec.recognizer import RecognizerError, available, load
+from placerec.commands.data import RECOGNIZER, describe, image_bar, open_data
+from placerec.datasets import PlaceDataset
+from placerec.evaluation import refuse_without_truth
+from placerec.evaluation_csv import evaluation_csv
+from placerec.evaluation_table import LEGEND, evaluation_table, notes
+from placerec.measurement import Failed, Measurement, measure
+from placerec.output_file import write_atomically
+from placerec.recognizer import PlaceRecognizer, RecognizerError, available, load
+
+ALL = "all"
+SOMETHING_FAILED = 1
+DEFAULT_OUT = Path("runs") / "evaluation"
 
 
 def evaluate(
@@ -21,12 +30,19 @@ def evaluate(
     /,
     recognizers: Annotated[
         tuple[str, ...],
-        tyro.conf.arg(metavar=f"{RECOGNIZER} ...", help_behavior_hint="(default: all installed)"),
-    ] = (),
+        tyro.conf.arg(metavar=f"{RECOGNIZER}|all ...", help_behavior_hint="(default: all)"),
+    ] = (ALL,),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = DEFAULT_OUT,
+    cache: bool = True,
 ) -> int:
-    """Measure how well recognizers tell places apart, and what they cost, as a Markdown table.
+    """Measure how well recognizers tell places apart, and what they cost.
 
     Example: placerec evaluate rgbd_dataset_freiburg1_desk corridor --recognizers gradients
+    Example: placerec evaluate my_walk_in_may+my_walk_in_june:3 --out runs/seasons
+
+    Prints a Markdown table; DIR then holds index.html, a page with curves, matrices and pictures
+    that needs no network, and results.csv, every figure in full. One recognizer that fails does
+    not stop the others; the exit code is then 1.
 
     Args:
         data: folders of images, each in one of these formats:
@@ -35,18 +51,68 @@ def evaluate(
             - query/, ref/: two drives of one path
             - dataset.csv: clips; the test floors, or as named
             after a colon, FOLDER:validation or FOLDER:train
-        recognizers: installed names, package.module:ClassName, or trained weights.
+            - QUERY+REFERENCE: one TUM recording looked for in another with poses in the same world
+            - QUERY+REFERENCE:FRAMES: two folders of images; numbers so far apart or less match
+        recognizers: installed names, package.module:ClassName, trained weights; all the installed.
+        out: folder for the page and the CSV file.
+        cache: keep embeddings, of recognizers that have a fingerprint, under ~/.cache/loopclose
+            (or $XDG_CACHE_HOME) and take them from there the next time.
     """
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
-    names = recognizers or available()
-    loaded = [(name, load(name)) for name in names]
-    rows = []
-    for dataset in map(open_data, data):
-        for name, recognizer in loaded:
-            embeddings, embed_s = embed_data(name, recognizer, dataset)
-            found = evaluate_embeddings(dataset, embeddings)
-            rows.append(Measured(dataset.name, name, found, measure_cost(embeddings, embed_s)))
-        print(describe(dataset))
-    print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
-    return 0
+    loaded = _load_all(recognizers)
+    datasets = [open_data(source) for source in data]
+    for dataset in datasets:
+        refuse_without_truth(dataset)
+    try:
+        rows = [row for dataset in datasets for row in _measure_all(dataset, loaded, cache)]
+        print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
+        print("".join(f"{note}\n" for note in notes(rows)), end="")
+        _write(rows, out)
+    except KeyboardInterrupt:
+        raise RecognizerError("stopped; embeddings that were kept are not made again") from None
+    return SOMETHING_FAILED if any(isinstance(row, Failed) for row in rows) else 0
+
+
+def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerError]:
+    """Return what was named, each once; of all that are installed, some may not be loadable."""
+    loaded: dict[str, PlaceRecognizer | RecognizerError] = {}
+    for name in names or (ALL,):
+        if name != ALL:
+            loaded[name] = load(name)
+            continue
+        for installed in available():
+            try:
+                loaded[installed] = load(installed)
+            except RecognizerError as error:
+                loaded[installed] = error
+    return loaded
+
+
+def _measure_all(
+    dataset: PlaceDataset, loaded: dict[str, PlaceRecognizer | RecognizerError], use_cache: bool
+) -> list[Measurement]:
+    rows = [_measure(name, found, dataset, use_cache) for name, found in loaded.items()]
+    print(describe(dataset))
+    return rows
+
+
+def _measure(
+    name: str,
+    recognizer: PlaceRecognizer | RecognizerError,
+    dataset: PlaceDataset,
+    use_cache: bool,
+) -> Measurement:
+    if isinstance(recognizer, RecognizerError):
+        return Failed(dataset, name, str(recognizer))
+    with image_bar(name, dataset) as progress:
+        return measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
+
+
+def _write(rows: Sequence[Measurement], folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
+    write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
+    print(f"written to {folder}")

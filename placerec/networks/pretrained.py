@@ -4,7 +4,6 @@
 import hashlib
 import http.client
 import io
-import os
 import re
 import urllib.request
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from placerec.networks.place_network import PlaceNetwork
 from placerec.networks.trunk import Trunk
 from placerec.output_file import write_atomically
 from placerec.recognizer import RecognizerError
+from placerec.user_cache import cache_folder
 
 TIMEOUT_S = 30.0
 
@@ -65,7 +65,7 @@ def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | Non
     digits = re.search(r"-([0-9a-f]{8,64})\.\w+$", url or "")
     if url is None or digits is None:
         raise RecognizerError(f"there is no checked download of weights for {trunk.name!r}")
-    path = (folder or _cache_folder()) / url.rsplit("/", 1)[1]
+    path = (folder or cache_folder() / "weights") / url.rsplit("/", 1)[1]
     if path.is_file():
         return path
     content = _fetch(url)
@@ -107,12 +107,6 @@ def _fetch(url: str) -> bytes:
     except (OSError, http.client.HTTPException) as error:
         raise RecognizerError(f"the weights cannot be downloaded: {error}: {url}") from error
     return content
-
-
-def _cache_folder() -> Path:
-    root = os.environ.get("XDG_CACHE_HOME", "")
-    cache = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
-    return cache / "loopclose" / "weights"
 
 
 def _make_folder(folder: Path) -> None:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 
+from placerec.user_cache import cache_folder
 from slam.datasets.archive import unpack
 from slam.datasets.transfer import Progress, download
 from slam.types import SlamError
@@ -53,12 +54,6 @@ def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
     return _fetch(folder_name, progress)
 
 
-def cache_folder() -> Path:
-    """Return the folder that downloads go to: loopclose under $XDG_CACHE_HOME or ~/.cache."""
-    root = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(root) if Path(root).is_absolute() else Path.home() / ".cache") / "loopclose"
-
-
 def _short_name(name: str) -> str:
     plain = name.lower().strip("/").replace("-", "_").replace("/", "_")
     plain = plain.removeprefix("rgbd_dataset_").replace("freiburg", "fr", 1)
@@ -69,7 +64,7 @@ def _short_name(name: str) -> str:
     hint = f"did you mean {' or '.join(close)}?" if close else "names look like fr1_desk;"
     raise SlamError(
         f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
-        f" any folder with rgb.txt and depth.txt works too: {name}"
+        f" the folder of a recording works too: {name}"
     )
 
 

@@ -8,6 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec.bootstrap import Intervals
+from placerec.cost import Cost
+from placerec.datasets import PlaceDataset
+from placerec.evaluation import BestMatches, Curve, Evaluation
+from placerec.measurement import Measured
+
 DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
@@ -38,3 +44,36 @@ def write_image() -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def measured(tmp_path, write_image) -> Measured:
+    """Return a measurement on two drives of two images each, with figures that are easy to tell."""
+    paths = tuple(write_image(tmp_path / f"walk/{i}.png", seed=i) for i in range(4))
+    truth = np.eye(2, dtype=np.bool_)
+    dataset = PlaceDataset("walk", paths, np.arange(2), np.arange(2, 4), truth, np.ones_like(truth))
+    curve = Curve(np.array([0.9, 0.1]), np.array([1.0, 0.5]), np.array([0.5, 1.0]))
+    evaluation = Evaluation(
+        similarities=np.array([[0.9, 0.2], [0.6, 0.1]], np.float32),
+        pair_curve=curve,
+        best_matches=BestMatches(
+            queries=np.arange(2),
+            references=np.zeros(2, np.int64),
+            similarities=np.array([0.9, 0.6], np.float32),
+            are_right=np.array([True, False]),
+        ),
+        best_match_curve=Curve(np.array([0.9, 0.6]), np.array([1.0, 0.25]), np.array([0.5, 1.0])),
+        recall_at_1=0.25,
+        recall_at_5=0.5,
+        recall_at_10=0.75,
+    )
+    return Measured(
+        dataset=dataset,
+        recognizer="short",
+        weights="",
+        trained_on=(),
+        evaluation=evaluation,
+        intervals=Intervals((0.5, 0.9), (0.125, 0.6), resampled="images"),
+        cost=Cost(embed_ms=12.34, compare_ms=0.000123, dimension=512, embedding_bytes=2048),
+        timed_on=None,
+    )

@@ -52,6 +52,13 @@ def drives(tmp_path, write_image):
     return str(tmp_path / "drives")
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """Write nothing into the folder that the tests are started in, and nothing into the cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+
+
 def test_evaluate_prints_a_table_and_names_what_it_skipped(drives, capsys):
     assert main(["evaluate", drives, drives, "--recognizers", GRADIENTS]) == 0
     shown = capsys.readouterr()

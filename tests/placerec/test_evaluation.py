@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placerec.datasets import PlaceDataset, open_dataset
+from placerec.embedded_images import embed_dataset
 from placerec.evaluation import (
     best_match_curve,
+    best_matches,
     compare,
-    embed_all,
     evaluate,
     pair_curve,
     recall_at,
@@ -79,6 +80,24 @@ def test_best_matches_by_hand():
     assert curve.area == pytest.approx(1 / 3 + 1 / 3 * 2 / 3)
     assert recall_at(1, similarities, truth) == pytest.approx(2 / 3)
     assert recall_at(2, similarities, truth) == 1.0
+    best = best_matches(similarities, truth)
+    assert best.queries.tolist() == [0, 1, 2, 3]
+    assert best.references.tolist() == [0, 0, 1, 0]
+    assert best.are_right.tolist() == [True, False, True, False]
+    assert (best.first(right=True), best.first(right=False)) == (0, 1)
+
+
+def test_a_query_without_any_comparable_reference_has_no_best_match():
+    truth = two_drives([[1, 0], [1, 0]], [[1, 1], [0, 0]])
+    best = best_matches(HAND_SIMILARITIES, truth)
+    assert best.queries.tolist() == [0]
+    assert best.first(right=False) is None
+
+
+def test_the_wrong_one_of_two_equal_references_is_the_best_match():
+    best = best_matches(np.array([[0.5, 0.5], [0.4, 0.3]], np.float32), HAND)
+    assert best.references.tolist() == [1, 0]
+    assert not best.are_right.any()
 
 
 def test_a_tie_with_a_wrong_reference_finds_nothing():
@@ -181,6 +200,7 @@ def test_perfect_embeddings_score_one_and_equal_ones_what_chance_does():
     constant = evaluate(truth, np.full((12, 7), 1 / np.sqrt(7), np.float32))
     assert constant.pair_curve.area == pytest.approx(12 / 66)  # the share of pairs of one place
     assert constant.recall_at_1 == constant.recall_at_5 == 0.0
+    assert constant.recall_at_10 == 1.0  # each query has but nine wrong references
 
 
 def test_equal_pairs_of_embeddings_tie_exactly():
@@ -197,23 +217,6 @@ def test_equal_pairs_of_embeddings_tie_exactly():
 def test_dataset_that_shows_nothing_is_refused(same_place, kind):
     with pytest.raises(RecognizerError, match=f"^two drives has no pair of images of {kind}"):
         evaluate(two_drives(same_place), np.ones((5, 4), np.float32) / 2)
-
-
-def test_embeddings_are_checked_and_timed():
-    class Mean:
-        min_similarity = 0.5
-
-        def embed(self, image):
-            return np.array([1.0, 0.0], np.float32) if image.mean() < 9 else np.ones(2, np.float32)
-
-    dark, light = np.zeros((2, 2, 3), np.uint8), np.full((2, 2, 3), 200, np.uint8)
-    embeddings, seconds = embed_all(Mean(), [dark, dark])
-    assert embeddings.tolist() == [[1, 0], [1, 0]]
-    assert (seconds > 0).all()
-    with pytest.raises(RecognizerError, match="returned a vector of length"):
-        embed_all(Mean(), [dark, light])
-    with pytest.raises(RecognizerError, match="there is no image to embed"):
-        embed_all(Mean(), [])
 
 
 class Thumbnail:
@@ -238,7 +241,7 @@ class Thumbnail:
 )
 def test_known_figures_on_fr1_desk(real_data, recognizer, figures):
     desk = open_dataset(str(real_data("rgbd_dataset_freiburg1_desk")))
-    result = evaluate(desk, embed_all(recognizer, desk)[0])
+    result = evaluate(desk, embed_dataset(recognizer, desk).embeddings)
     found = (
         result.pair_curve.area,
         result.recall_at_1,

@@ -1,20 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
+from dataclasses import replace
+from datetime import date
 
-from placerec.cost import Cost
-from placerec.evaluation import Curve, Evaluation
-from placerec.evaluation_table import HEADER, Measured, evaluation_table
+from placerec.evaluation_table import HEADER, evaluation_table, notes
+from placerec.measurement import Failed
 
 
-def test_markdown_table_lines_up():
-    curve = Curve(np.array([0.9, 0.1]), np.array([1.0, 0.5]), np.array([0.5, 1.0]))
-    evaluation = Evaluation(curve, curve, 0.25, 0.75)
-    cost = Cost(embed_ms=12.34, compare_ms=0.000123, dimension=512, embedding_bytes=2048)
-    rows = [Measured("a", "short", evaluation, cost), Measured("b", "longer", evaluation, cost)]
-    lines = evaluation_table(rows).splitlines()
+def test_markdown_table_lines_up(measured):
+    other = replace(measured, recognizer="longer than the column's name")
+    lines = evaluation_table([measured, other]).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert len(lines) == 4
     cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
     assert len(cells) == len(HEADER)
-    assert " ".join(cells) == "a short 0.750 0.250 0.750 0.500 0.750 512 2.0 12.3 0.123"
+    assert " ".join(cells) == "walk short 0.750 0.250 0.500 0.750 0.500 0.625 512 2.0 12.3 0.123"
     assert set(lines[1]) == set("|-: ")
+
+
+def test_a_failure_says_why_and_does_not_widen_the_table(measured):
+    why = "a sentence that is a good deal longer than any of the columns | or so"
+    failed = Failed(measured.dataset, "short", why)
+    lines = evaluation_table([measured, failed]).splitlines()
+    assert lines[:3] == evaluation_table([measured]).splitlines()
+    assert lines[3].startswith("| walk | short      | failed: a sentence that")
+    assert lines[3].count("|") - lines[3].count(r"\|") == 4
+    assert len(evaluation_table([failed]).splitlines()) == 3
+
+
+def test_what_the_table_does_not_say_is_noted_below(measured):
+    assert notes([measured]) == []
+    kept = replace(measured, weights="ImageNet", trained_on=("walk",), timed_on=date(2026, 2, 3))
+    assert " 12.3* |" in evaluation_table([kept])
+    assert notes([kept, kept, Failed(measured.dataset, "other", "why")]) == [
+        "short: ImageNet",
+        "short was trained on walk",
+        "* timed when the kept embeddings were made, the oldest on 2026-02-03; "
+        "--no-cache makes them anew",
+    ]

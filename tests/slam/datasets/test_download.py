@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from placerec.user_cache import cache_folder
 from slam.datasets import download, resolve, transfer
 from slam.types import SlamError
 
@@ -110,7 +111,7 @@ def names_in(folder: Path) -> list[str]:
 
 
 def assert_unpacked(folder: Path) -> None:
-    assert folder == download.cache_folder() / NAME
+    assert folder == cache_folder() / NAME
     assert (folder / "rgb/0.png").read_bytes() == NOISE
     assert names_in(folder.parent) == [NAME]  # no archive, no part, no temporary folder
 
@@ -171,7 +172,7 @@ def test_after_many_cuts_the_user_is_told_that_running_again_resumes(site: Site)
 
 
 def test_a_part_that_was_already_whole_is_not_fetched_again(site: Site) -> None:
-    part = download.cache_folder() / f"{NAME}.tgz.part"
+    part = cache_folder() / f"{NAME}.tgz.part"
     part.parent.mkdir(parents=True)
     part.write_bytes(ARCHIVE)
     assert_unpacked(resolve("fr1_desk"))
@@ -179,7 +180,7 @@ def test_a_part_that_was_already_whole_is_not_fetched_again(site: Site) -> None:
 
 
 def test_a_part_longer_than_the_file_is_dropped(site: Site) -> None:
-    part = download.cache_folder() / f"{NAME}.tgz.part"
+    part = cache_folder() / f"{NAME}.tgz.part"
     part.parent.mkdir(parents=True)
     part.write_bytes(ARCHIVE + b"more")
     assert_unpacked(resolve("fr1_desk"))
@@ -230,7 +231,7 @@ def test_a_corrupted_archive_is_removed_and_nothing_unpacked(site: Site, content
     site.content = content
     with pytest.raises(SlamError, match="removed"):
         resolve("fr1_desk")
-    assert names_in(download.cache_folder()) == []
+    assert names_in(cache_folder()) == []
     site.content, site.etag = ARCHIVE, '"v2"'
     assert_unpacked(resolve("fr1_desk"))
 
@@ -252,7 +253,7 @@ def test_an_archive_that_reaches_out_of_its_folder_is_refused(
     site.content = tgz({f"{NAME}/rgb.txt": b"", **files}, links)
     with pytest.raises(SlamError, match="refused"):
         resolve("fr1_desk")
-    assert names_in(download.cache_folder()) == []
+    assert names_in(cache_folder()) == []
     assert names_in(tmp_path) == ["cache"]
     assert not Path("/evil").exists()
 
@@ -284,7 +285,7 @@ def test_a_disk_full_while_unpacking_keeps_the_download(
         patch.setattr(shutil, "copyfileobj", no_space)
         with pytest.raises(SlamError, match="No space left on device"):
             resolve("fr1_desk")
-    assert names_in(download.cache_folder()) == [f"{NAME}.tgz"]
+    assert names_in(cache_folder()) == [f"{NAME}.tgz"]
     assert_unpacked(resolve("fr1_desk"))
     assert len(site.requests) == 1
 
@@ -332,7 +333,7 @@ def test_a_sequence_has_several_names(name: str, short: str) -> None:
 def test_an_unknown_name_lists_the_close_ones(site: Site) -> None:
     with pytest.raises(SlamError, match="did you mean fr1_desk") as caught:
         resolve("fr1_dsk")
-    assert "any folder with rgb.txt" in str(caught.value)
+    assert "the folder of a recording" in str(caught.value)
     with pytest.raises(SlamError, match="fr1_desk"):
         resolve("/no/such/folder")
     with pytest.raises(SlamError, match="neither a folder nor"):

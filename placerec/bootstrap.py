@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far figures would move with other images of the same kind: intervals by resampling."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.datasets import PlaceDataset
+from placerec.evaluation import BestMatches, Evaluation, Similarities
+
+RESAMPLES = 1000
+CONFIDENCE = 0.95
+
+Interval = tuple[float, float]
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Within which 95 % of the resamples lie.
+
+    Attributes:
+        average_precision: over all pairs; both images of a pair are drawn.
+        recall_at_full_precision: of the best matches; queries are drawn, references stay.
+        resampled: what was drawn, with replacement: "places" where they are known, or "images".
+    """
+
+    average_precision: Interval
+    recall_at_full_precision: Interval
+    resampled: str
+
+
+def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> Intervals:
+    """Return the intervals of an evaluation; the same seed gives the same ones."""
+    pairs = _Pairs(evaluation.similarities, dataset)
+    revisits = np.any(dataset.comparable & dataset.same_place, axis=1)
+    precisions, recalls = [], []
+    for drawn in draws(dataset, seed):
+        precisions.append(pairs.average_precision(drawn))
+        recalls.append(_recall(evaluation.best_matches, revisits, drawn[dataset.queries]))
+    return Intervals(
+        average_precision=_interval(precisions),
+        recall_at_full_precision=_interval(recalls),
+        resampled="images" if dataset.places is None else "places",
+    )
+
+
+def draws(dataset: PlaceDataset, seed: int) -> Iterator[Counts]:
+    """Yield how often each of the (N,) images is drawn in each resample.
+
+    Whole places where they are known: images of one place are alike, and drawn one by one they
+    would make the interval too narrow.
+    """
+    rng = np.random.default_rng(seed)
+    units = np.arange(len(dataset)) if dataset.places is None else dataset.places
+    _, unit = np.unique(units, return_inverse=True)
+    count = int(unit.max()) + 1
+    for _ in range(RESAMPLES):
+        yield np.bincount(rng.integers(count, size=count), minlength=count)[unit]
+
+
+class _Pairs:
+    """All pairs that count by falling similarity, sorted once for all resamples."""
+
+    def __init__(self, similarities: Similarities, dataset: PlaceDataset) -> None:
+        rows, columns = np.nonzero(dataset.pairs)
+        values = similarities[rows, columns]
+        order = np.argsort(-values, kind="stable")
+        values, rows, columns = values[order], rows[order], columns[order]
+        self._queries, self._references = dataset.queries[rows], dataset.references[columns]
+        # Equal similarities pass a threshold together.
+        self._starts = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
+        self._right = np.flatnonzero(dataset.same_place[rows, columns])
+        self._level = np.searchsorted(self._starts, self._right, side="right") - 1
+
+    def average_precision(self, drawn: Counts) -> float:
+        """Return it with each pair as often as its images are drawn; NaN if no right one is."""
+        weights = drawn[self._queries] * drawn[self._references]
+        right = weights[self._right]
+        total = int(right.sum())
+        if total == 0:
+            return float("nan")
+        recognised = np.cumsum(np.add.reduceat(weights, self._starts))
+        per_level = np.bincount(self._level, right, len(self._starts))
+        present = per_level > 0
+        precision = np.cumsum(per_level)[present] / recognised[present]
+        return float(per_level[present] @ precision) / total
+
+
+def _recall(best: BestMatches, revisits: NDArray[np.bool_], drawn: Counts) -> float:
+    """Return the recall without an error, each query as often as it is drawn; NaN without any."""
+    total = int(drawn[revisits].sum())
+    if total == 0:
+        return float("nan")
+    weights = drawn[best.queries]
+    wrong = best.similarities[~best.are_right & (weights > 0)]
+    clean = best.are_right & (best.similarities > wrong.max(initial=-np.inf))
+    return float(weights[clean].sum() / total)
+
+
+def _interval(values: list[float]) -> Interval:
+    tails = [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0]
+    low, high = np.nanquantile(values, tails)
+    return float(low), float(high)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Embeddings of image files, kept between runs; what is damaged is as if it had never been kept."""
+
+import hashlib
+import struct
+import time
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.output_file import write_atomically
+from placerec.recognizer import PlaceRecognizer, RecognizerError
+from placerec.user_cache import cache_folder
+
+LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
+"""With another version of these, the last digits of an embedding may be others."""
+_FACTS = struct.Struct("<dd")
+_DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+class KeptEmbedding(NamedTuple):
+    """An embedding, (D,) float32, how long it took to make, and on which day."""
+
+    vector: NDArray[np.float32]
+    seconds: float
+    made_on: date
+
+
+class EmbeddingCache:
+    """What one recognizer made of image files, by their content; wherever they lie, however named.
+
+    Only a recognizer with a member `fingerprint: str`, which changes when its embeddings do, has
+    one: of others nobody knows whether they still are what they were.
+    """
+
+    def __init__(self, recognizer: PlaceRecognizer, folder: Path | None = None) -> None:
+        """Open the recognizer's part of a folder, by default that of the user.
+
+        Raises:
+            RecognizerError: the recognizer has no fingerprint.
+        """
+        fingerprint = fingerprint_of(recognizer)
+        if fingerprint is None:
+            raise RecognizerError(f"{type(recognizer).__name__!r} has no fingerprint: str")
+        root = cache_folder() if folder is None else folder
+        self._folder = root / "embeddings" / _recognizer_key(recognizer, fingerprint)
+        self._is_writable = True
+
+    def find(self, image: Path) -> KeptEmbedding | None:
+        """Return what was kept of an image file, None where that is nothing, or damaged."""
+        try:
+            content = self._file(image).read_bytes()
+        except OSError:
+            return None
+        digest, facts = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+        if hashlib.sha256(facts).digest() != digest:
+            return None
+        seconds, made_s = _FACTS.unpack_from(facts)
+        vector = np.frombuffer(facts, np.float32, offset=_FACTS.size)
+        return KeptEmbedding(vector, seconds, date.fromtimestamp(made_s))
+
+    def keep(self, image: Path, vector: NDArray[np.float32], seconds: float) -> None:
+        """Keep an image file's embedding, made just now; where that cannot be, it is let go."""
+        if not self._is_writable:
+            return
+        facts = _FACTS.pack(seconds, time.time()) + vector.astype(np.float32).tobytes()
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write_atomically(self._file(image), hashlib.sha256(facts).digest() + facts)
+        except (OSError, RecognizerError):
+            self._is_writable = False  # a full disk is not asked again for every image
+
+    def _file(self, image: Path) -> Path:
+        return self._folder / hashlib.sha256(image.read_bytes()).hexdigest()
+
+
+def fingerprint_of(recognizer: PlaceRecognizer) -> str | None:
+    """Return what a recognizer says that its embeddings depend on, None where it says nothing."""
+    own = getattr(recognizer, "fingerprint", None)
+    return own if isinstance(own, str) else None
+
+
+def _recognizer_key(recognizer: PlaceRecognizer, fingerprint: str) -> str:
+    kind = type(recognizer)
+    made_by = [f"{library} {_version(library)}" for library in LIBRARIES]
+    facts = "\n".join([fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by])
+    return hashlib.sha256(facts.encode()).hexdigest()[:32]
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:  # a checkout that was not installed, or another build of OpenCV
+        return "unknown"

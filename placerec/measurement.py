@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One recognizer on one dataset: what was measured, or why nothing was."""
+
+from dataclasses import dataclass
+from datetime import date
+
+from placerec.bootstrap import Intervals, bootstrap
+from placerec.cost import Cost, measure_cost
+from placerec.datasets import PlaceDataset
+from placerec.embedded_images import Progress, embed_dataset
+from placerec.embedding_cache import EmbeddingCache, fingerprint_of
+from placerec.evaluation import Evaluation, evaluate
+from placerec.recognizer import PlaceRecognizer, RecognizerError
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A recognizer on a dataset.
+
+    Attributes:
+        dataset: what it was measured on.
+        recognizer: the name it was loaded by.
+        weights: what the recognizer says that it runs on, "" where it says nothing.
+        trained_on: those parts of the dataset's name that the recognizer says it was trained on.
+        evaluation: how well it tells places apart.
+        intervals: how far that would move with other images.
+        cost: what it takes.
+        timed_on: the day the oldest embedding was timed on, None where that was now.
+    """
+
+    dataset: PlaceDataset
+    recognizer: str
+    weights: str
+    trained_on: tuple[str, ...]
+    evaluation: Evaluation
+    intervals: Intervals
+    cost: Cost
+    timed_on: date | None
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A recognizer of which nothing could be measured on a dataset, and why, in one line."""
+
+    dataset: PlaceDataset
+    recognizer: str
+    why: str
+
+
+Measurement = Measured | Failed
+
+
+def measure(
+    name: str,
+    recognizer: PlaceRecognizer,
+    dataset: PlaceDataset,
+    *,
+    use_cache: bool = True,
+    progress: Progress | None = None,
+) -> Measurement:
+    """Return what a recognizer does on a dataset; whatever goes wrong with it is the answer.
+
+    Args:
+        name: what the recognizer was loaded by.
+        recognizer: any; optional members of it are `fingerprint: str`, which its kept embeddings
+            are known by, `weights: str`, a line about what it runs on, and
+            `trained_on: tuple[str, ...]`, names of datasets.
+        dataset: images, and the truth about them.
+        use_cache: look embeddings up that were kept, and keep them.
+        progress: told of every image that is done.
+    """
+    try:
+        has_cache = use_cache and fingerprint_of(recognizer) is not None
+        cache = EmbeddingCache(recognizer) if has_cache else None
+        embedded = embed_dataset(recognizer, dataset, cache, progress)
+        found = evaluate(dataset, embedded.embeddings)
+        return Measured(
+            dataset=dataset,
+            recognizer=name,
+            weights=_weights(recognizer),
+            trained_on=_trained_on(recognizer, dataset),
+            evaluation=found,
+            intervals=bootstrap(found, dataset),
+            cost=measure_cost(embedded.embeddings, embedded.seconds),
+            timed_on=embedded.oldest,
+        )
+    except RecognizerError as error:
+        return Failed(dataset, name, str(error))
+    except Exception as error:  # hours of work on others are not to be lost to one
+        return Failed(dataset, name, " ".join(f"{type(error).__name__}: {error}".split()))
+
+
+def _weights(recognizer: PlaceRecognizer) -> str:
+    weights = getattr(recognizer, "weights", "")
+    return weights if isinstance(weights, str) else ""
+
+
+def _trained_on(recognizer: PlaceRecognizer, dataset: PlaceDataset) -> tuple[str, ...]:
+    trained_on = set(getattr(recognizer, "trained_on", ()))
+    return tuple(part for part in dataset.name.split("+") if part in trained_on)
