@@ -20,6 +20,7 @@ BLOCK = 256
 
 Indices = NDArray[np.int64]
 Features = NDArray[np.float32]
+BoolMatrix = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def build_image_sets(
     rng: np.random.Generator,
     rules: SetRules | None = None,
     anchors: Indices | None = None,
+    alike: BoolMatrix | None = None,
 ) -> ImageSets:
     """Return the sets that the present features call for, in the order of the anchors.
 
@@ -72,6 +74,8 @@ def build_image_sets(
         rng: what all draws come from.
         rules: margins and sizes; default: the paper's.
         anchors: (M,) int64, the images i that line 2 goes through; default: all n.
+        alike: (n, n) bool, pairs that may show one place whatever their labels say, as places
+            next to each other do: an image alike to one of a place is never a negative of it.
 
     Raises:
         RecognizerError: a feature is not finite, or there are too few places for a set.
@@ -83,6 +87,10 @@ def build_image_sets(
     for own, distances, members in _by_place(features, places, anchors):
         spread = own[distances[own] > rules.gamma]
         others = places != places[own[0]]
+        if alike is not None:
+            others &= ~alike[own].any(axis=0)
+            if len(np.unique(places[others])) < rules.negatives:
+                continue  # hemmed in by places alike: no set can be completed
         confused = np.flatnonzero((distances < rules.gamma_prime) & others)
         for i in members:
             negatives = _draw_places(confused, places, rules.negatives, rng)  # lines 7, 9-11
@@ -105,11 +113,30 @@ def sample_images(places: Indices, per_place: int, rng: np.random.Generator) -> 
 
     With it the cost of a round of training is that of the places, however many images they have.
     """
-    shuffled = rng.permutation(len(places))
-    by_place = shuffled[np.argsort(places[shuffled], kind="stable")]
-    _, first, counts = np.unique(places[by_place], return_index=True, return_counts=True)
-    rank = np.arange(len(places)) - np.repeat(first, counts)
-    return np.sort(by_place[rank < per_place])
+    return np.sort(_draw_of_each(np.arange(len(places)), places, per_place, rng))
+
+
+def sample_scenes(
+    scenes: Indices, places: Indices, count: int, per_scene: int, rng: np.random.Generator
+) -> Indices:
+    """Return the sorted indices of all images of some places of some scenes, drawn at random.
+
+    Places of one scene are what is most easily confused: rounds that visit few scenes find hard
+    negatives among few images. A scene is visited as often as it has places.
+
+    Args:
+        scenes: (n,) int64, a label per image: one per room, floor or recording.
+        places: (n,) int64, a label per image.
+        count: how many scenes.
+        per_scene: how many places of each, at most.
+        rng: what all draws come from.
+    """
+    _, first = np.unique(places, return_index=True)  # one image of each place
+    labels, sizes = np.unique(scenes[first], return_counts=True)
+    drawn = rng.choice(labels, min(count, len(labels)), replace=False, p=sizes / sizes.sum())
+    candidates = first[np.isin(scenes[first], drawn)]
+    chosen = places[_draw_of_each(candidates, scenes[candidates], per_scene, rng)]
+    return np.flatnonzero(np.isin(places, chosen))
 
 
 def _check(features: Features, places: Indices, rules: SetRules) -> None:
@@ -148,6 +175,16 @@ def _by_place(
         squares = np.einsum("pd,pd->p", block, block)[:, None] + lengths - 2.0 * products
         for k, distances in enumerate(squares, start):
             yield own[k], distances, members[k]
+
+
+def _draw_of_each(
+    images: Indices, groups: Indices, count: int, rng: np.random.Generator
+) -> Indices:
+    """Return at most so many of the images of each group; groups has a label per image."""
+    order = rng.permutation(len(images))
+    order = order[np.argsort(groups[order], kind="stable")]
+    _, first, counts = np.unique(groups[order], return_index=True, return_counts=True)
+    return images[order][np.arange(len(images)) - np.repeat(first, counts) < count]
 
 
 def _draw_places(

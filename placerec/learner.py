@@ -23,6 +23,10 @@ from placerec.place_images import PlaceImages
 from placerec.training_config import Loss, TrainingConfig
 from placerec.workers import Workers
 
+WARM_UP_STEPS = 50
+"""Steps over which the learning rates rise: Adam knows the gradients' sizes only after some."""
+LARGEST_GRADIENT = 2.0
+"""Norm to which longer gradients are cut: one odd batch must not undo many good ones."""
 PARTNERS, VIEWS, LAYERS = 1, 2, 3
 """What random numbers are drawn for: each has its own, by the seed and the step."""
 
@@ -99,6 +103,8 @@ class Learner:
         """Change the parameters by their gradients and return the last layer's learning rate."""
         limit = self._config.max_steps
         share = 0.5 * (1.0 + math.cos(math.pi * step / limit)) if limit else 1.0
+        share *= min(1.0, (step + 1) / WARM_UP_STEPS)
+        torch.nn.utils.clip_grad_norm_(list(self._parameters()), LARGEST_GRADIENT)
         for group, rate in zip(self.optimizer.param_groups, self._rates, strict=False):
             group["lr"] = rate * share
         self.optimizer.step()
@@ -110,7 +116,8 @@ class Learner:
         rng = np.random.default_rng([config.seed, PARTNERS, step])
         partners = torch.from_numpy(draw_partners(len(sets), config.negatives, rng)[own])
         images = np.concatenate([sets.positives[own], sets.negatives[own]], axis=1)
-        embeddings = self._forward(self._views(images, own, step)).reshape(*images.shape, -1)
+        different, which = np.unique(images, return_inverse=True)  # sets share images
+        embeddings = self._forward(self._views(different, step))[which.reshape(images.shape)]
         positives, negatives = embeddings[:, : config.positives], embeddings[:, config.positives :]
         if config.loss is Loss.TRIPLET:
             shown = torch.from_numpy(sets.positives[own]).to(self._workers.device)
@@ -122,22 +129,19 @@ class Learner:
         partners = partners.to(self._workers.device)
         return loss(positives, negatives, partners, config.alpha, config.beta)
 
-    def _views(self, images: NDArray[np.int64], own: NDArray[np.int64], step: int) -> Tensor:
-        """Return the trained layers' input of (S, A + B) images."""
+    def _views(self, images: NDArray[np.int64], step: int) -> Tensor:
+        """Return the trained layers' input of N images."""
         augmentation = self._config.augmentation
         if augmentation is None:
-            return self._layers.plain(images.ravel())
-        seeds = [
-            [self._config.seed, VIEWS, step, int(set_), place]
-            for set_ in own
-            for place in range(images.shape[1])
-        ]
-        return self._layers.varied(images.ravel(), augmentation, seeds)
+            return self._layers.plain(images)
+        seeds = [[self._config.seed, VIEWS, step, int(image)] for image in images]
+        return self._layers.varied(images, augmentation, seeds)
 
     def _forward(self, inputs: Tensor) -> Tensor:
-        """Return (N, D) float32 embeddings, worked out in mixed precision on a GPU."""
+        """Return (N, D) float32 embeddings; in mixed precision on a GPU, or if asked for."""
         device = self._workers.device.type
-        with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
+        is_mixed = device == "cuda" or self._config.mixed_precision
+        with torch.autocast(device, torch.bfloat16, enabled=is_mixed):
             embeddings = self.network.project(self._layers.trained(inputs))
         return embeddings.float()
 

@@ -15,6 +15,15 @@ class PlaceImages(Protocol):
         """(n,) int64, a label per image: one per place; None cannot be learned from."""
         ...
 
+    @property
+    def scenes(self) -> NDArray[np.int64]:
+        """(n,) int64, a label per image: one per room, building or recording."""
+        ...
+
+    def alike(self, indices: NDArray[np.int64], /) -> NDArray[np.bool_]:
+        """Return (m, m) bool for m images: pairs that may show one place whatever their labels."""
+        ...
+
     def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
         """Return an image, (H, W, 3) uint8 RGB, of any size."""
         ...

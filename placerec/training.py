@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from placerec.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from placerec.early_layers import Progress
-from placerec.image_sets import ImageSets, build_image_sets, sample_images
+from placerec.image_sets import ImageSets, build_image_sets, sample_images, sample_scenes
 from placerec.learner import Learner
 from placerec.networks import PlaceNetwork
 from placerec.place_images import PlaceImages
@@ -77,7 +78,7 @@ class Training:
         """
         if images.places is None:
             raise RecognizerError("the images come without place labels; there is none to learn")
-        self.network, self._places = network, images.places
+        self.network, self._images, self._places = network, images, images.places
         self._config, self._folder = config, folder
         self._workers = workers or Workers()
         self._progress = progress
@@ -121,26 +122,46 @@ class Training:
             self._elapsed_s >= config.max_seconds
         ):
             self.end = End.SECONDS
-        elif self._used == len(self._sets):
-            self._build_sets()
-            if len(self._sets) == 0:
-                self.end = End.LEARNED
+        elif self._used == len(self._sets) and not self._find_sets():
+            self.end = End.LEARNED
         return self.end is not None
+
+    def _find_sets(self) -> bool:
+        """Start rounds until one has sets, at most so many as could visit every scene."""
+        scenes = len(np.unique(self._images.scenes))
+        for _ in range(-(-scenes // (self._config.scenes_per_round or scenes))):
+            self._build_sets()
+            if len(self._sets):
+                return True
+        return False
 
     def _build_sets(self) -> None:
         """Start a round: one anchor of each place, among the images looked at this time."""
         places = self._places
         rng = np.random.default_rng([self._config.seed, self._round])
-        seen = sample_images(places, self._config.images_per_place or len(places), rng)
+        seen = self._draw_images(rng)
         try:
             features = self._learner.embed(seen, self._progress)
         except KeyboardInterrupt:  # may come from progress; all is still as after the last step
             self._save()
             raise
         anchors = rng.permutation(sample_images(places[seen], 1, rng))
-        sets = build_image_sets(features, places[seen], rng, self._config.rules, anchors)
+        alike = self._images.alike(seen)
+        sets = build_image_sets(features, places[seen], rng, self._config.rules, anchors, alike)
         self._sets = ImageSets(seen[sets.positives], seen[sets.negatives])
         self._used, self._round = 0, self._round + 1
+
+    def _draw_images(self, rng: np.random.Generator) -> NDArray[np.int64]:
+        config, places, scenes = self._config, self._places, self._images.scenes
+        visited = sample_scenes(
+            scenes,
+            places,
+            config.scenes_per_round or len(scenes),
+            config.places_per_scene or len(places),
+            rng,
+        )
+        per_place = config.images_per_place or len(places)
+        return visited[sample_images(places[visited], per_place, rng)]
 
     def _learn(self) -> StepRecord:
         before_s = self._elapsed_s
@@ -195,7 +216,8 @@ class Training:
         config = self._config.model_dump(mode="json", exclude=set(MAY_CHANGE))
         return {name: json.dumps(value) for name, value in config.items()} | {
             "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
-            f"{network.grid} cells of {size.width_px} x {size.height_px} px",
+            f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
+            f"covariance {network.covariance}",
             "images": f"{len(self._places)} with labels {labels.hexdigest()[:12]}",
         }
 

@@ -42,6 +42,10 @@ class TrainingConfig(BaseModel):
     """Sets per step, over all processes together."""
     images_per_place: int | None = Field(default=8, ge=1)
     """Images of each place that are looked at per round, drawn anew each time; none: all."""
+    scenes_per_round: int | None = Field(default=None, ge=1)
+    """Rooms or recordings that are visited per round, drawn anew each time; none: all."""
+    places_per_scene: int | None = Field(default=None, ge=2)
+    """Places of each that are looked at per round, drawn anew each time; none: all."""
     learning_rate: float = Field(default=1e-4, gt=0.0)
     """Of the fully connected layer."""
     trunk_learning_rate: float = Field(default=1e-5, ge=0.0)
@@ -50,6 +54,8 @@ class TrainingConfig(BaseModel):
     """The trunk stays as it is up to the end of this block; none: all layers are trained."""
     augmentation: Augmentation | None = None
     """Changes made to the images of a step; none: what frozen layers see is worked out once."""
+    mixed_precision: bool = False
+    """Multiply in bfloat16 on a CPU too, as on a GPU always: faster where the CPU knows how."""
     max_steps: int | None = Field(default=None, ge=1)
     """The training ends after so many steps; the learning rates fall to zero along a cosine."""
     max_seconds: float | None = Field(default=None, gt=0.0)

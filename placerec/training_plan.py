@@ -15,6 +15,8 @@ class TrainingPlan:
     """The trunk's last block to keep; none: all of it."""
     grid: tuple[int, int] | None = None
     """Rows and columns of cells to average the trunk's maps in; none: keep them whole."""
+    covariance: bool = False
+    """Describe the maps by how their channels vary together, not by their values."""
     size: tuple[int, int] | None = None
     """Width and height that images are resized to, in pixels; none: the trunk's."""
     dimension: int = 1000
@@ -23,6 +25,20 @@ class TrainingPlan:
     """The trunk's published weights, .pth or .npz; none: random ones."""
     loss: str = "multi-constraint"
     """What is minimised: multi-constraint, multi-constraint-full or triplet."""
+    alpha: float = 0.5
+    """Margin between positives and negatives; 0.5 is the paper's."""
+    beta: float = 0.3
+    """Margin between the positives' spread and two negatives' distance; 0.3 is the paper's."""
+    gamma_prime: float = 0.4
+    """Squared distance below which a negative is learned from; 0.4 is the paper's."""
+    scenes_per_round: int | None = None
+    """Folders of DATA that are visited per round, drawn anew each time; none: all."""
+    places_per_scene: int | None = None
+    """Places of each that are looked at per round, drawn anew each time; none: all."""
+    images_per_place: int = 8
+    """Images of each place that are looked at per round, drawn anew each time."""
+    batch_sets: int = 5
+    """Image sets per step."""
     steps: int | None = None
     """Steps after which the training ends; none: when all places are told apart."""
     minutes: float | None = None
@@ -35,5 +51,7 @@ class TrainingPlan:
     """The trunk stays as it is up to the end of this block; none: all layers are trained."""
     augment: bool = True
     """Turn, crop, blur and relight the images of each step, as a hand-held camera would."""
+    mixed_precision: bool = False
+    """Multiply in bfloat16 on a CPU too, as on a GPU always: faster where the CPU knows how."""
     seed: int = 0
     """What all draws come from."""

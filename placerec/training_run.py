@@ -12,7 +12,7 @@ from placerec.datasets import LabelledImages
 from placerec.early_layers import IMAGES_PER_PASS, Progress
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
-from placerec.networks.projection import start_from_principal_components
+from placerec.networks.projection import merge, whiten
 from placerec.recognizer import RecognizerError
 from placerec.training import LOG_NAME, Training
 from placerec.training_config import TrainingConfig
@@ -32,7 +32,7 @@ def start_training(
 ) -> Training:
     """Return a training as planned, or the one that the folder holds a checkpoint of.
 
-    The trunk starts from the plan's weights, the fully connected layer from the principal
+    The trunk starts from the plan's weights, the fully connected layer from the whitened principal
     components of what the trunk makes of the images.
 
     Args:
@@ -50,14 +50,14 @@ def start_training(
     if plan.weights is not None:
         load_pretrained(network, plan.weights)
     _make(folder)
-    training = Training(network, images, config, folder, workers=workers, progress=progress)
-    if not training.checkpoint_path.exists():
-        _start_last_layer(network, images, workers.device, plan.seed, progress)
-    return training
+    _start_last_layer(network, images, workers.device, plan.seed, progress)
+    return Training(network, images, config, folder, workers=workers, progress=progress)
 
 
 def write_results(training: Training, plan: TrainingPlan, folder: Path) -> Path:
     """Write the trained weights and the plot of the log, and return the weights' path.
+
+    The fully connected layer is one matrix afterwards; the training cannot go on with it.
 
     Until it is calibrated, the threshold is the similarity from which the training itself takes
     images of two places for confused: gamma' as a cosine (eq. 9).
@@ -66,6 +66,7 @@ def write_results(training: Training, plan: TrainingPlan, folder: Path) -> Path:
         RecognizerError: a file cannot be written.
     """
     path = folder / WEIGHTS_NAME
+    merge(training.network)
     save_weights(training.network, path, 1.0 - _config(plan).gamma_prime / 2.0)
     write_plot(read_log(folder / LOG_NAME), folder / PLOT_NAME)
     return path
@@ -76,6 +77,14 @@ def _config(plan: TrainingPlan) -> TrainingConfig:
         return TrainingConfig.model_validate(
             {
                 "loss": plan.loss,
+                "alpha": plan.alpha,
+                "beta": plan.beta,
+                "gamma_prime": plan.gamma_prime,
+                "batch_sets": plan.batch_sets,
+                "images_per_place": plan.images_per_place,
+                "scenes_per_round": plan.scenes_per_round,
+                "places_per_scene": plan.places_per_scene,
+                "mixed_precision": plan.mixed_precision,
                 "learning_rate": plan.learning_rate,
                 "trunk_learning_rate": plan.trunk_learning_rate,
                 "frozen_block": plan.frozen_block,
@@ -102,6 +111,7 @@ def _network(plan: TrainingPlan) -> PlaceNetwork:
         plan.dimension,
         block=plan.block,
         grid=plan.grid,
+        covariance=plan.covariance,
         size_px=plan.size,
         seed=plan.seed,
     )
@@ -124,10 +134,10 @@ def _start_last_layer(
 ) -> None:
     count = min(len(images), COMPONENTS_FROM)
     chosen = np.linspace(0, len(images) - 1, count).astype(int)
-    network.eval()
+    network.to(device).eval()
     values = []
     for start in range(0, count, IMAGES_PER_PASS):
         part = [images[int(i)] for i in chosen[start : start + IMAGES_PER_PASS]]
         values.append(network.flatten(network.features(network.prepare(part).to(device))))
         progress(start + len(part), count)
-    start_from_principal_components(network, torch.cat(values), seed)
+    whiten(network, torch.cat(values), seed)

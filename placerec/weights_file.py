@@ -26,6 +26,7 @@ class _Description(BaseModel):
     trunk: str
     block: str | None
     grid: tuple[int, int] | None
+    covariance: bool = False
     size_px: tuple[int, int]
     min_similarity: float = Field(ge=-1.0, le=1.0)
 
@@ -46,6 +47,7 @@ def save_weights(network: PlaceNetwork, path: Path, min_similarity: float) -> No
         trunk=network.trunk.name,
         block=network.block,
         grid=network.grid,
+        covariance=network.covariance,
         size_px=size_px,
         min_similarity=min_similarity,
     )
@@ -80,6 +82,7 @@ def load_weights(
             tensors[LAST_LAYER].shape[0],
             block=description.block,
             grid=description.grid,
+            covariance=description.covariance,
             size_px=description.size_px,
         )
         network.load_state_dict(tensors)
@@ -91,7 +94,13 @@ def load_weights(
 
 def hash_network(network: PlaceNetwork) -> str:
     """Return "sha256:..." of all that embeddings depend on: the tensors and the input's making."""
-    made_with = (network.trunk.name, network.block, network.grid, network.preprocessing)
+    made_with = (
+        network.trunk.name,
+        network.block,
+        network.grid,
+        network.covariance,
+        network.preprocessing,
+    )
     digest = hashlib.sha256(repr(made_with).encode())
     for name, value in sorted(network.state_dict().items()):
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())

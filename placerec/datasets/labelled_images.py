@@ -2,12 +2,19 @@
 """The images of several datasets under one numbering, to learn places from."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset
 from placerec.recognizer import RecognizerError
+
+LONGEST_PX = 384
+"""Longer sides are shrunk to this, more than any network here looks at: the rest costs time."""
+KEPT = 1024
+"""Images kept decoded: those looked at to build sets are soon learned from."""
 
 
 class LabelledImages:
@@ -15,9 +22,11 @@ class LabelledImages:
 
     Attributes:
         places: (N,) int64, a label per image; places of different datasets are different ones.
+        scenes: (N,) int64, which dataset an image is of.
     """
 
     places: NDArray[np.int64]
+    scenes: NDArray[np.int64]
 
     def __init__(self, datasets: Sequence[PlaceDataset]) -> None:
         """Put one or more datasets together.
@@ -35,18 +44,49 @@ class LabelledImages:
             labels.append(own + count)
             count += int(own.max()) + 1
         self.places = np.concatenate(labels).astype(np.int64)
+        self._decoded = lru_cache(maxsize=KEPT)(self._decode)
+        self.scenes = np.repeat(np.arange(len(self._datasets)), np.diff(self._starts))
 
     def __len__(self) -> int:
         return len(self.places)
 
     def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
-        """Return an image, (H, W, 3) uint8 RGB.
+        """Return an image, (H, W, 3) uint8 RGB, at most LONGEST_PX wide or high; read-only.
 
         Raises:
             RecognizerError: it can no longer be read.
         """
+        return self._decoded(index)
+
+    def _decode(self, index: int) -> NDArray[np.uint8]:
         k = int(np.searchsorted(self._starts, index, side="right")) - 1
-        return self._datasets[k][index - int(self._starts[k])]
+        image = self._datasets[k][index - int(self._starts[k])]
+        shrink = LONGEST_PX / max(image.shape[:2])
+        if shrink < 1.0:
+            small = cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+            image = np.asarray(small, np.uint8)
+        image.setflags(write=False)
+        return image
+
+    def alike(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (n, n) bool, which pairs of n images may show one place, whatever their labels.
+
+        In one dataset these are the pairs of one place and those that its truth leaves open.
+        """
+        alike = np.zeros((len(indices), len(indices)), np.bool_)
+        for k in np.unique(self.scenes[indices]):
+            rows = np.flatnonzero(self.scenes[indices] == k)
+            own = indices[rows] - self._starts[k]
+            alike[np.ix_(rows, rows)] = _may_show_one_place(self._datasets[k])[np.ix_(own, own)]
+        return alike
+
+
+def _may_show_one_place(dataset: PlaceDataset) -> NDArray[np.bool_]:
+    open_or_same = np.ones((len(dataset), len(dataset)), np.bool_)
+    compared = dataset.same_place | ~dataset.comparable
+    open_or_same[np.ix_(dataset.queries, dataset.references)] = compared
+    open_or_same[np.ix_(dataset.references, dataset.queries)] = compared.T
+    return open_or_same
 
 
 def _labels(dataset: PlaceDataset) -> NDArray[np.int64]:

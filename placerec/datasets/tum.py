@@ -17,6 +17,8 @@ MAX_DISTANCE = 0.6
 MIN_GAP_S = 3.0
 """Frames closer in time are not compared: they are alike without any place being recognised."""
 STRIDE = 3
+"""Of a video every so many frames one is used; of single views, further apart than MIN_GAP_S, as
+rendered ones are, every one."""
 
 FloatArray = NDArray[np.float64]
 
@@ -93,7 +95,9 @@ def _read_recording(folder: Path, stride: int) -> Recording:
     truth_s, positions_m, quaternions = _read_truth(folder / "groundtruth.txt")
     nearest = _nearest(frames_s, truth_s)
     difference_s = np.abs(truth_s[nearest] - frames_s)
-    used = np.flatnonzero(difference_s <= MAX_TIME_DIFFERENCE_S)[::stride]
+    used = np.flatnonzero(difference_s <= MAX_TIME_DIFFERENCE_S)
+    if np.median(np.diff(frames_s, prepend=-np.inf)) <= MIN_GAP_S:
+        used = used[::stride]
     if not len(used):
         raise RecognizerError(
             f"no image has a true pose within {MAX_TIME_DIFFERENCE_S} s; the nearest is "

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from placerec.networks.covariance import Covariance
 from placerec.networks.trunk import Trunk
+from placerec.networks.whitened_linear import WhitenedLinear
 from placerec.recognizer import RecognizerError
 
 
@@ -21,6 +23,7 @@ class PlaceNetwork(nn.Module):
         trunk, block: where the layers before the fully connected one come from.
         features: these layers; a known trunk's parameters are called as its publishers call them.
         grid: (rows, columns) of cells that the maps are averaged in, or None to keep them whole.
+        covariance: whether the maps' second-order statistics are taken instead of their values.
         preprocessing: how an image becomes its input.
         fully_connected: from the flattened maps to the embedding.
     """
@@ -32,6 +35,7 @@ class PlaceNetwork(nn.Module):
         *,
         block: str | None = None,
         grid: tuple[int, int] | None = None,
+        covariance: bool = False,
         size_px: tuple[int, int] | None = None,
         seed: int = 0,
     ) -> None:
@@ -42,6 +46,8 @@ class PlaceNetwork(nn.Module):
             dimension: values in an embedding.
             block: the trunk's last block to keep; default: all of it.
             grid: (rows, columns) to average the maps in; default: keep them whole.
+            covariance: describe the maps by how their channels vary together (`Covariance`), not
+                by their values, as the paper does.
             size_px: (width, height) of its input; default: the trunk's.
             seed: what the random weights come from.
 
@@ -56,13 +62,18 @@ class PlaceNetwork(nn.Module):
             trunk.preprocessing.width_px,
             trunk.preprocessing.height_px,
         )
-        self.trunk, self.block, self.grid = trunk, block, grid
+        self.trunk, self.block, self.grid, self.covariance = trunk, block, grid, covariance
         self.preprocessing = replace(trunk.preprocessing, width_px=width_px, height_px=height_px)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.features = trunk.layers(block)
-            self.pool = nn.AdaptiveAvgPool2d(grid) if grid else nn.Identity()
-            self.fully_connected = nn.Linear(self._map_values(), dimension)
+            self.pool = nn.Sequential(
+                nn.AdaptiveAvgPool2d(grid) if grid else nn.Identity(),
+                Covariance() if covariance else nn.Flatten(),
+            )
+            self.fully_connected: nn.Linear | WhitenedLinear = nn.Linear(
+                self._map_values(), dimension
+            )
 
     @property
     def dimension(self) -> int:
@@ -79,7 +90,7 @@ class PlaceNetwork(nn.Module):
 
     def flatten(self, maps: Tensor) -> Tensor:
         """Return the (N, F) values that the fully connected layer sees of (N, C, h, w) maps."""
-        flat: Tensor = self.pool(maps).flatten(start_dim=1)
+        flat: Tensor = self.pool(maps)
         return flat
 
     def prepare(self, images: Sequence[NDArray[np.uint8]]) -> Tensor:

@@ -9,7 +9,7 @@ from placerec.calibration import fingerprint
 from placerec.conformance import check
 from placerec.embedding import LearnedRecognizer
 from placerec.networks import TRUNKS, PlaceNetwork
-from placerec.networks.projection import start_from_principal_components
+from placerec.networks.projection import merge, whiten
 from placerec.recognizer import RecognizerError, load
 from placerec.weights_file import save_weights
 
@@ -26,7 +26,8 @@ def recognizer(tmp_path_factory):
         # Blocks of colour at several scales, so that the layer sees more than noise.
         coarse = [np.kron(_image(i, 6, 8), np.ones((10, 10, 1), np.uint8)) for i in range(40)]
         maps = network.features(network.prepare(coarse))
-        start_from_principal_components(network, network.flatten(maps))
+        whiten(network, network.flatten(maps))
+        merge(network)
     save_weights(network, path, 0.4)
     return LearnedRecognizer(path)
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placerec.image_sets import SetRules, build_image_sets, sample_images
+from placerec.image_sets import SetRules, build_image_sets, sample_images, sample_scenes
 from placerec.recognizer import RecognizerError
 
 
@@ -193,3 +193,43 @@ def test_sample_takes_some_of_each_place_and_all_of_small_ones():
     labels, counts = np.unique(places[images], return_counts=True)
     assert dict(zip(labels.tolist(), counts.tolist(), strict=True)) == {3: 1, 5: 2, 7: 4, 9: 4}
     assert set(images) != set(sample_images(places, 4, _rng(3)))
+
+
+def test_places_that_may_be_one_are_no_negatives():
+    # Place 1 is confused with place 0, but one of its images may show place 0.
+    places = np.array([0, 0, 1, 1, 2, 3, 4, 5])
+    features = _at(0.0, 0.01, 0.02, 0.03, np.pi, np.pi, np.pi, np.pi)
+    alike = np.zeros((8, 8), bool)
+    alike[0, 2] = alike[2, 0] = True
+    anchors = np.array([0])
+    plain = build_image_sets(features, places, _rng(), anchors=anchors)
+    kept = build_image_sets(features, places, _rng(), anchors=anchors, alike=alike)
+    assert set(plain.negatives[0]) & {2, 3}
+    assert kept.negatives[0][0] == 3  # still confused, and surely of another place
+    assert 2 not in kept.negatives[0]
+
+
+def test_place_hemmed_in_by_alike_ones_makes_no_set():
+    places = np.array([0, 0, 1, 2, 3, 4])
+    features = _at(0.0, 0.9, 0.02, np.pi, np.pi, np.pi)
+    alike = np.zeros((6, 6), bool)
+    alike[0, 2] = alike[2, 0] = True
+    assert len(build_image_sets(features, places, _rng(), anchors=np.array([0]), alike=alike)) == 0
+
+
+def test_scenes_are_drawn_with_all_images_of_some_of_their_places():
+    scenes = np.repeat([0, 1, 2], [12, 12, 24])
+    places = np.repeat(np.arange(24), 2)
+    drawn = [sample_scenes(scenes, places, 2, 3, _rng(seed)) for seed in range(60)]
+    for images in drawn:
+        assert len(np.unique(scenes[images])) == 2
+        assert [len(images[places[images] == p]) for p in np.unique(places[images])] == [2] * 6
+        assert (np.diff(images) > 0).all()
+    visits = np.bincount([s for images in drawn for s in np.unique(scenes[images])])
+    assert visits[2] > visits[0]  # twice the places: visited more often
+    assert visits[:2].min() > 10
+
+
+def test_all_scenes_and_places_where_there_are_no_more():
+    scenes, places = np.array([0, 0, 1, 1]), np.array([0, 0, 1, 2])
+    assert sample_scenes(scenes, places, 9, 9, _rng()).tolist() == [0, 1, 2, 3]

@@ -40,6 +40,7 @@ class Boards:
         rng = np.random.default_rng(seed)
         boards = rng.integers(0, 200, (places, 5, 6, 3))
         self.places = np.repeat(np.arange(places), views)
+        self.scenes = self.places % 2
         self.reads = 0
         self._views = []
         for place in self.places:
@@ -47,6 +48,9 @@ class Boards:
             dy, dx = rng.integers(0, 7, 2)
             view = large[dy : dy + 24, dx : dx + 30] * rng.uniform(0.8, 1.2)
             self._views.append(np.clip(view, 0, 255).astype(np.uint8))
+
+    def alike(self, indices):
+        return self.places[indices, None] == self.places[indices]
 
     def __getitem__(self, index):
         self.reads += 1
@@ -101,9 +105,6 @@ def test_records_say_how_far_it_is(tmp_path):
     assert [record.round for record in records] == [1, 1, 1, 2]
     assert records[-1].time_to_go_s == 0.0
     assert all(record.time_to_go_s > 0 for record in records[:-1])
-    rates = [record.learning_rate for record in records]
-    assert rates[0] == FAST["learning_rate"]
-    assert rates == sorted(rates, reverse=True)
     assert all(0.0 < record.active_share <= 1.0 for record in records)
 
 
@@ -260,6 +261,40 @@ class _Breaks(nn.Module):
         return self.layer(images) * (torch.nan if self.left < 0 else 1.0)
 
 
+def test_learning_rate_rises_then_falls_to_zero(tmp_path):
+    _, records = _train(tmp_path / "run", max_steps=120, gamma=0.0, gamma_prime=4.0)
+    rates = np.array([record.learning_rate for record in records])
+    top = int(rates.argmax())
+    assert 30 < top < 60
+    assert (np.diff(rates[: top + 1]) > 0).all()
+    assert (np.diff(rates[top:]) < 0).all()
+    assert 0.5 * FAST["learning_rate"] < rates[top] < FAST["learning_rate"]
+    assert rates[-1] < 0.01 * FAST["learning_rate"]
+
+
+def test_a_round_visits_some_places_of_some_scenes(tmp_path):
+    config = {"scenes_per_round": 1, "places_per_scene": 5, "batch_sets": 50, "gamma_prime": 4.0}
+    training, records = _train(tmp_path / "run", max_steps=6, **config)
+    assert [record.round for record in records] == [1, 2, 3, 4, 5, 6]  # a step learns from all
+    places = np.concatenate([training._sets.positives, training._sets.negatives], axis=1) // 5
+    assert len(np.unique(places)) == 5
+    assert len(np.unique(places % 2)) == 1
+
+
+def test_one_scene_without_sets_is_not_the_end(tmp_path):
+    class TwinsInOddScene(Boards):
+        """Boards of scene 1 are all alike, so that nothing there is a negative of anything."""
+
+        def alike(self, indices):
+            odd = self.scenes[indices] == 1
+            return super().alike(indices) | (odd[:, None] & odd)
+
+    config = {"scenes_per_round": 1, "batch_sets": 50, "gamma_prime": 4.0}
+    training, records = _train(tmp_path / "run", TwinsInOddScene(), max_steps=3, seed=1, **config)
+    assert training.end is End.STEPS
+    assert records[-1].round > 3  # those without a set were gone through
+
+
 def test_nan_loss_stops_and_leaves_the_last_good_checkpoint(tmp_path):
     trunk = Trunk("breaks", lambda: _Breaks(4), TINY.preprocessing)
     network = PlaceNetwork(trunk, 8).eval()
@@ -328,8 +363,7 @@ def test_folder_must_exist(tmp_path):
 
 def test_views_are_other_ones_in_each_step(tmp_path):
     training, _ = _train(tmp_path / "run", max_steps=1, augmentation=Augmentation())
-    images = np.array([[0, 0, 3]])
-    first, again, other = (training._learner._views(images, np.array([0]), s) for s in (0, 0, 1))
+    images = np.array([0, 3])
+    first, again, other = (training._learner._views(images, step) for step in (0, 0, 1))
     assert torch.equal(first, again)
-    assert not torch.equal(first[0], first[1])  # nor are those of an image that stands there twice
     assert not torch.equal(first[0], other[0])

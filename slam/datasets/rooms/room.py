@@ -16,7 +16,7 @@ from slam.datasets.rooms.textures import TEXELS_PER_M, Image
 from slam.types import Camera, FloatArray, Frame
 
 ROOM_SIZE_M = (5.0, 4.0, 2.6)
-_LAMPS_M = np.array([[-0.9, 0.3, 2.2], [0.9, -0.3, 2.2], [0.0, 0.0, 1.5]])
+LAMPS_M = np.array([[-0.9, 0.3, 2.2], [0.9, -0.3, 2.2], [0.0, 0.0, 1.5]])
 _LEVELS = 4
 
 FloatImage = NDArray[np.float32]
@@ -45,7 +45,7 @@ def build_room(seed: int) -> Room:
     The floor is z = 0, the origin its middle; everything stands within 0.9 m of the walls.
     """
     rng = np.random.default_rng([seed, 0x200])
-    return assemble(light(furnished_room(rng, *ROOM_SIZE_M), _LAMPS_M, rng))
+    return assemble(light(furnished_room(rng, *ROOM_SIZE_M), LAMPS_M, rng))
 
 
 def assemble(panels: list[Panel]) -> Room:

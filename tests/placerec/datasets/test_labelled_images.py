@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -48,3 +49,22 @@ def test_same_image_twice_is_refused(recording):
     first = recording("a", [0, 1], 0)
     with pytest.raises(RecognizerError, match=r"^a and again have an image in common.*/a/\d\.png$"):
         LabelledImages([first, replace(first, name="again")])
+
+
+def test_scenes_are_the_datasets_and_only_open_or_same_pairs_are_alike(recording):
+    first, second = recording("a", [0, 0, 1], 0), recording("b", [0, 1], 10)
+    unknown = first.comparable.copy()
+    unknown[1, 2] = unknown[2, 1] = False
+    both = LabelledImages([replace(first, comparable=unknown), second])
+    np.testing.assert_array_equal(both.scenes, [0, 0, 0, 1, 1])
+    expected = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 1, 1]]
+    np.testing.assert_array_equal(both.alike(np.array([3, 4, 1, 2])), expected)
+
+
+def test_large_images_are_shrunk(tmp_path, recording):
+    dataset = recording("a", [0, 1], 0)
+    path = tmp_path / "large.png"
+    assert cv2.imwrite(str(path), np.zeros((500, 800, 3), np.uint8))
+    images = LabelledImages([replace(dataset, paths=(dataset.paths[0], path))])
+    assert images[1].shape == (240, 384, 3)
+    assert images[0].shape == dataset[0].shape

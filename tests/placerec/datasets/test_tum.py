@@ -154,3 +154,12 @@ def test_list_that_is_no_text_is_refused(recording):
     (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(RecognizerError, match="not text in UTF-8"):
         read_tum(folder)
+
+
+def test_single_views_far_apart_in_time_are_all_used(tmp_path, write_image):
+    for i in range(5):
+        write_image(tmp_path / f"{i}.png", seed=i)
+    (tmp_path / "rgb.txt").write_text("".join(f"{4 * i}.0 {i}.png\n" for i in range(5)))
+    truth = "".join(f"{4 * i}.0 {i} 0 0 0 0 0 1\n" for i in range(5))
+    (tmp_path / "groundtruth.txt").write_text(truth)
+    assert len(read_tum(tmp_path)) == 5

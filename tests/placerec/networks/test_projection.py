@@ -4,7 +4,7 @@ import torch
 from torch import nn
 
 from placerec.networks import PlaceNetwork, Preprocessing, Trunk
-from placerec.networks.projection import start_from_principal_components
+from placerec.networks.projection import merge, whiten
 
 PLAIN = Preprocessing(8, 6, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 IDENTITY = Trunk("identity", nn.Identity, PLAIN)  # 3 x 6 x 8 = 144 values
@@ -15,35 +15,54 @@ def _values(count, seed=0):
     return torch.randn(count, 144, generator=random) * torch.linspace(3, 0.1, 144) + 5.0
 
 
-@pytest.mark.parametrize(("dimension", "count"), [(30, 200), (60, 20), (144, 50)])
-def test_rows_are_orthonormal_and_the_mean_goes_to_zero(dimension, count):
-    network, values = PlaceNetwork(IDENTITY, dimension), _values(count)
-    start_from_principal_components(network, values)
-    weight = network.fully_connected.weight
-    torch.testing.assert_close(weight @ weight.T, torch.eye(dimension), atol=1e-4, rtol=0)
-    outputs = network.fully_connected(values)
+def _whitened(dimension, values):
+    network = PlaceNetwork(IDENTITY, dimension)
+    whiten(network, values)
+    return network.fully_connected
+
+
+@pytest.mark.parametrize(("dimension", "count"), [(30, 400), (60, 90), (144, 600)])
+def test_directions_are_uncorrelated_centred_and_about_as_strong(dimension, count):
+    values = _values(count)
+    with torch.no_grad():
+        outputs = _whitened(dimension, values)(values)
+    covariance = outputs.T @ outputs / count
     torch.testing.assert_close(outputs.mean(0), torch.zeros(dimension), atol=1e-4, rtol=0)
+    strengths = covariance.diagonal()
+    torch.testing.assert_close(covariance, strengths.diag(), atol=1e-3, rtol=0)
+    assert (strengths.diff() <= 1e-4).all()  # strongest first
+    assert 0.5 < strengths[dimension // 2] <= strengths[0] <= 1.001
 
 
-def test_strongest_components_come_first():
-    network, values = PlaceNetwork(IDENTITY, 30), _values(500)
-    start_from_principal_components(network, values)
-    spread = network.fully_connected(values).std(0)
-    assert (spread.diff() <= 1e-4).all()
-    assert spread[0] > 2.5
+def test_more_values_than_components_are_random_mixtures_by_the_seed():
+    values = _values(40)
+    layer = _whitened(100, values)
+    assert layer.whitening.shape[0] == 40
+    mixtures = layer.weight[40:]
+    assert (mixtures.norm(dim=1) > 0.5).all()
+    torch.testing.assert_close(mixtures, _whitened(100, values).weight[40:])
 
 
-def test_angles_between_the_given_maps_are_kept():
-    network, values = PlaceNetwork(IDENTITY, 100), _values(40)
-    start_from_principal_components(network, values)
-    embeddings = network.project(values.reshape(40, 3, 6, 8))
-    expected = nn.functional.normalize(values - values.mean(0))
-    torch.testing.assert_close(embeddings @ embeddings.T, expected @ expected.T, atol=1e-4, rtol=0)
+def test_images_that_are_all_the_same_make_finite_weights():
+    layer = _whitened(10, torch.ones(5, 144))
+    assert all(torch.isfinite(value).all() for value in layer.state_dict().values())
 
 
-def test_more_rows_than_values_and_maps_that_are_all_the_same():
-    network = PlaceNetwork(IDENTITY, 150)
-    start_from_principal_components(network, _values(300))
-    assert torch.count_nonzero(network.fully_connected.weight[144:]) == 0
-    start_from_principal_components(network, torch.ones(5, 144))
-    assert torch.isfinite(network.fully_connected.weight).all()
+def test_one_matrix_says_the_same():
+    values, network = _values(50), PlaceNetwork(IDENTITY, 20)
+    whiten(network, values)
+    with torch.no_grad():
+        network.fully_connected.bias += 0.3
+        before = network.fully_connected(values)
+        merge(network)
+        after = network.fully_connected(values)
+    assert isinstance(network.fully_connected, nn.Linear)
+    torch.testing.assert_close(after, before, atol=1e-4, rtol=1e-4)
+    layer = network.fully_connected
+    merge(network)  # of one matrix: nothing to do
+    assert network.fully_connected is layer
+
+
+def test_whitening_is_not_learned():
+    layer = _whitened(10, _values(50))
+    assert {name for name, _ in layer.named_parameters()} == {"weight", "bias"}
