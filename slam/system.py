@@ -179,7 +179,12 @@ class Slam:
             min_similarity=self._loop_closer.min_similarity,
             untracked_s=np.array(self._untracked_s),
             stage_seconds=dict(self.clock.seconds),
-            warnings=(*self._tracking_warnings(), *solution.warnings),
+            warnings=(
+                *self._tracking_warnings(),
+                *solution.warnings,
+                *self._loop_closer.warnings(),
+            ),
+            calibration=self._loop_closer.calibration(),
         )
 
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:

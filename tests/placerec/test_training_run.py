@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec.certificate import read_certificate
 from placerec.cli import main
 from placerec.datasets import LabelledImages, open_dataset
 from placerec.embedding import LearnedRecognizer
@@ -82,10 +83,23 @@ def test_leaves_weights_that_recognise_a_log_and_its_plot(tower, tmp_path, capsy
     assert LearnedRecognizer(weights).embed(open_dataset(str(tower))[0]).shape == (8,)
     assert main(["evaluate", str(tower), "--recognizers", str(weights)]) == 0
     assert f"| tower:test | {weights} |" in capsys.readouterr().out
-    certificate = tmp_path / "certificate.json"
-    calibrate = ["calibrate", str(tower), "--recognizer", str(weights), "--out", str(certificate)]
-    assert main(calibrate) == 0
-    assert LearnedRecognizer(weights).fingerprint in certificate.read_text()
+
+
+def test_calibrating_gives_the_weights_their_threshold_and_its_evidence(tower, tmp_path, capsys):
+    assert _train(tower, tmp_path / "run", steps=1) == 0
+    weights, apart = tmp_path / "run/weights.safetensors", tmp_path / "apart.json"
+    fresh, command = weights.read_bytes(), ["calibrate", str(tower), "--recognizer", str(weights)]
+    assert main([*command, "--out", str(apart)]) == 0
+    assert weights.read_bytes() == fresh and _files(tmp_path / "run") == OUTPUTS
+    assert main(command) == 0
+    certificate = LearnedRecognizer(weights).certificate
+    assert certificate == read_certificate(apart)
+    assert (certificate.recognizer, certificate.data) == ("weights.safetensors", "tower:test")
+    assert LearnedRecognizer(weights).min_similarity == certificate.min_similarity
+    assert _files(tmp_path / "run") == sorted([*OUTPUTS, "weights.certificate.json"])
+    assert f"min_similarity written to {weights}\n" in capsys.readouterr().out
+    assert main([*command, "--out", str(apart)]) == 0
+    assert read_certificate(apart) == certificate  # it is not of the threshold in the file
 
 
 def test_same_command_same_bytes_and_another_seed_others(tower, tmp_path):
