@@ -97,11 +97,6 @@ class LoopCloser:
         live = np.concatenate([np.empty(0, np.float32), *(row[:limit] for row, limit in rows)])
         return Calibration(self._certificate, live)
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return a sentence where places look so unlike those calibrated on that it matters."""
-        calibration = self.calibration()
-        return () if calibration is None else calibration.warnings
-
     def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
         if similarity < self.min_similarity:
             rejection = Rejection(RejectionReason.LOW_SIMILARITY, similarity, self.min_similarity)

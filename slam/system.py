@@ -164,6 +164,7 @@ class Slam:
         with self.clock.stage("graph"):
             solution = self._graph.finish()
         T_odom_kf = np.array([keyframe.T_odom_cam for keyframe in self._keyframes])
+        calibration = self._loop_closer.calibration()
         return SlamResult(
             camera=self._camera,
             keyframes=tuple(self._keyframes),
@@ -182,9 +183,9 @@ class Slam:
             warnings=(
                 *self._tracking_warnings(),
                 *solution.warnings,
-                *self._loop_closer.warnings(),
+                *(calibration.warnings if calibration else ()),
             ),
-            calibration=self._loop_closer.calibration(),
+            calibration=calibration,
         )
 
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
