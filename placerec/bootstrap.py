@@ -22,7 +22,8 @@ class Intervals:
     """Within which 95 % of the resamples lie.
 
     Attributes:
-        average_precision: over all pairs; both images of a pair are drawn.
+        average_precision: over all pairs; both images of a pair are drawn. A place that is drawn
+            twice counts as two places: none of its images is compared with its own double.
         recall_at_full_precision: of the best matches; queries are drawn, references stay.
         resampled: what was drawn, with replacement: "places" where they are known, or "images".
     """
@@ -34,10 +35,11 @@ class Intervals:
 
 def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> Intervals:
     """Return the intervals of an evaluation; the same seed gives the same ones."""
-    pairs = _Pairs(evaluation.similarities, dataset)
+    unit = _units(dataset)
+    pairs = _Pairs(evaluation.similarities, dataset, unit)
     revisits = np.any(dataset.comparable & dataset.same_place, axis=1)
     precisions, recalls = [], []
-    for drawn in draws(dataset, seed):
+    for drawn in _draws(unit, seed):
         precisions.append(pairs.average_precision(drawn))
         recalls.append(_recall(evaluation.best_matches, revisits, drawn[dataset.queries]))
     return Intervals(
@@ -47,15 +49,20 @@ def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> I
     )
 
 
-def draws(dataset: PlaceDataset, seed: int) -> Iterator[Counts]:
-    """Yield how often each of the (N,) images is drawn in each resample.
+def _units(dataset: PlaceDataset) -> Counts:
+    """Return for each of the (N,) images what it is drawn together with, counted from 0.
 
     Whole places where they are known: images of one place are alike, and drawn one by one they
     would make the interval too narrow.
     """
-    rng = np.random.default_rng(seed)
     units = np.arange(len(dataset)) if dataset.places is None else dataset.places
     _, unit = np.unique(units, return_inverse=True)
+    return unit.astype(np.int64)
+
+
+def _draws(unit: Counts, seed: int) -> Iterator[Counts]:
+    """Yield how often each of the (N,) images is drawn in each resample."""
+    rng = np.random.default_rng(seed)
     count = int(unit.max()) + 1
     for _ in range(RESAMPLES):
         yield np.bincount(rng.integers(count, size=count), minlength=count)[unit]
@@ -64,12 +71,13 @@ def draws(dataset: PlaceDataset, seed: int) -> Iterator[Counts]:
 class _Pairs:
     """All pairs that count by falling similarity, sorted once for all resamples."""
 
-    def __init__(self, similarities: Similarities, dataset: PlaceDataset) -> None:
+    def __init__(self, similarities: Similarities, dataset: PlaceDataset, unit: Counts) -> None:
         rows, columns = np.nonzero(dataset.pairs)
         values = similarities[rows, columns]
         order = np.argsort(-values, kind="stable")
         values, rows, columns = values[order], rows[order], columns[order]
         self._queries, self._references = dataset.queries[rows], dataset.references[columns]
+        self._within = np.flatnonzero(unit[self._queries] == unit[self._references])
         # Equal similarities pass a threshold together.
         self._starts = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
         self._right = np.flatnonzero(dataset.same_place[rows, columns])
@@ -78,6 +86,7 @@ class _Pairs:
     def average_precision(self, drawn: Counts) -> float:
         """Return it with each pair as often as its images are drawn; NaN if no right one is."""
         weights = drawn[self._queries] * drawn[self._references]
+        weights[self._within] = drawn[self._queries[self._within]]
         right = weights[self._right]
         total = int(right.sum())
         if total == 0:

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The threshold from which two images are taken for one place."""
+"""From which similarity is a match worth verifying, and from which is it one place for sure?"""
 
-import hashlib
-import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import USUALLY_OUTSIDE, Certificate
+from placerec.certificate import TAIL, Certificate, fingerprint
 from placerec.datasets import PlaceDataset
 from placerec.evaluation import Curve, Embeddings, Similarities, compare, pair_curve
 from placerec.recognizer import PlaceRecognizer, RecognizerError
@@ -43,7 +40,7 @@ def calibrate(
     embeddings: Embeddings,
     seed: int = 0,
 ) -> Certificate:
-    """Return the threshold with the largest recall among those without an error on a dataset.
+    """Return what a dataset says about a recognizer's thresholds.
 
     Args:
         name: what the recognizer was loaded by.
@@ -64,15 +61,16 @@ def calibrate(
         raise RecognizerError(_no_threshold(name, dataset, wrong))
     thresholds, recalls = _bootstrap(right, wrong, dataset, seed)
     tails = [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0]
-    outside = [USUALLY_OUTSIDE / 2.0, 1.0 - USUALLY_OUTSIDE / 2.0]
-    counted = similarities[dataset.pairs]
+    different, same = (
+        np.quantile(kind.similarities, [TAIL, 1.0 - TAIL]) for kind in (wrong, right)
+    )
     return Certificate(
         recognizer=name,
         fingerprint=fingerprint(recognizer),
         data=dataset.name,
         images=len(dataset),
         skipped=len(dataset.skipped),
-        pairs=counted.size,
+        pairs=wrong.similarities.size + right.similarities.size,
         same_place_pairs=right.similarities.size,
         threshold=curve.thresholds[clean - 1],
         highest_wrong=wrong.similarities[0],
@@ -83,31 +81,11 @@ def calibrate(
         resamples=RESAMPLES,
         without_threshold=RESAMPLES - len(thresholds),
         seed=seed,
-        similarity_range=tuple(np.quantile(counted, outside)),
+        different_places=tuple(different),
+        same_place=tuple(same),
+        recall_to_verify=float((right.similarities >= different[1]).mean()),
         curve=_thinned(curve, clean - 1),
     )
-
-
-def fingerprint(recognizer: PlaceRecognizer) -> str:
-    """Return the recognizer's `fingerprint`, or where it has none, the hash of its source file.
-
-    A recognizer with weights has a member `fingerprint: str` that changes when they do.
-
-    Raises:
-        RecognizerError: it has no fingerprint and no source file.
-    """
-    own = getattr(recognizer, "fingerprint", None)
-    if isinstance(own, str):
-        return own
-    kind = type(recognizer)
-    try:
-        source = Path(inspect.getfile(kind)).read_bytes()
-    except (TypeError, OSError) as error:
-        raise RecognizerError(
-            f"recognizer {kind.__name__!r} has no source file to tell versions of it apart; "
-            "give it a member fingerprint: str"
-        ) from error
-    return f"sha256:{hashlib.sha256(source).hexdigest()}"
 
 
 def _pairs(similarities: Similarities, dataset: PlaceDataset, chosen: NDArray[np.bool_]) -> _Pairs:

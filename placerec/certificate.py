@@ -1,6 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recognizer's threshold was calibrated on, kept as a JSON file beside its weights."""
+"""What a recognizer's thresholds were calibrated on, kept as a JSON file beside its weights.
 
+There are two thresholds, because two decisions are made. `min_similarity` is the cosine from which
+a match is worth verifying: it is passed by one in a hundred pairs of different places, and geometry
+sorts those out. `threshold` is the paper's tau, from which two images are taken for one place with
+no other evidence: it stands above the most similar pair of different places. That single pair
+decides it, and most true loops lie below it, so what precedes geometry must not wait for it.
+"""
+
+import hashlib
+import inspect
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,11 +18,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from placerec.output_file import write_atomically
-from placerec.recognizer import RecognizerError
+from placerec.recognizer import PlaceRecognizer, RecognizerError
 
-USUALLY_OUTSIDE = 0.02
-"""The share of the calibration's own similarities that its range leaves out, half on each side."""
+TAIL = 0.01
+"""The share of either kind of pair that its range leaves out, on each side."""
 MAX_OUTSIDE = 0.1
+MAX_PASSING = 0.95
+FEW_PAIRS = 50
+"""Fewer live pairs than this say nothing about the images they come from."""
+CERTIFICATE_SUFFIX = ".certificate.json"
 
 Cosine = Annotated[float, Field(ge=-1.001, le=1.001)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -21,7 +34,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Certificate(BaseModel):
-    """The threshold with the largest recall among those without an error, and its evidence.
+    """From which similarity on to verify a match, and to believe it unseen, with the evidence.
 
     Attributes:
         recognizer: name it was loaded by.
@@ -29,14 +42,16 @@ class Certificate(BaseModel):
         data: name of the dataset.
         images, skipped: how many were used, and how many could not be read.
         pairs, same_place_pairs: how many counted, and how many of these show one place.
-        threshold: similarity from which two images are taken for one place.
+        threshold: tau, the one with the largest recall among those without an error.
         highest_wrong: similarity of the most similar pair of different places.
-        recall: share of the pairs of one place that the threshold recognises.
+        recall: share of the pairs of one place that tau recognises.
         threshold_interval, recall_interval: 95 % of the resamples lie within.
         resampled: what was drawn, with replacement.
         resamples, without_threshold: how many times, and how often every threshold had an error.
         seed: of the draws.
-        similarity_range: all but the 1 % lowest and the 1 % highest similarities lie within.
+        different_places, same_place: all but the 1 % lowest and the 1 % highest similarities of
+            pairs of different places, and of one place, lie within.
+        recall_to_verify: share of the pairs of one place that reach `min_similarity`.
         curve: threshold, precision, recall over all pairs; thinned out, the threshold's included.
     """
 
@@ -58,25 +73,100 @@ class Certificate(BaseModel):
     resamples: Count
     without_threshold: Count
     seed: int
-    similarity_range: tuple[Cosine, Cosine]
+    different_places: tuple[Cosine, Cosine]
+    same_place: tuple[Cosine, Cosine]
+    recall_to_verify: Share
     curve: tuple[tuple[Cosine, Share, Share], ...]
+
+    @property
+    def min_similarity(self) -> float:
+        """Cosine from which a match is worth verifying: of different places, 1 % are so alike."""
+        return min(1.0, self.different_places[1])
+
+    @property
+    def calibrated_range(self) -> tuple[float, float]:
+        """Where 98 % of the similarities lay, however many of the pairs show one place."""
+        ranges = np.array([self.different_places, self.same_place])
+        return float(ranges.min()), float(ranges.max())
 
     def outside_calibrated_range(self, similarities: NDArray[np.floating]) -> str | None:
         """Return a warning where live similarities are unlike those calibrated on, else None.
 
+        Unlike are many outside the range of both kinds of pairs; and hardly any below
+        `min_similarity`, for then it sorts nothing out.
+
         Args:
-            similarities: (M,) of pairs that could be loops, most of them of different places.
+            similarities: (M,) of pairs that could be loops.
         """
-        low, high = self.similarity_range
-        outside = (similarities < low) | (similarities > high)
-        share = float(outside.mean()) if outside.size else 0.0
-        if share <= MAX_OUTSIDE:
+        count = similarities.size
+        if count < FEW_PAIRS:
             return None
-        return (
-            f"{share:.0%} of {outside.size} similarities lie outside {low:.3f} to {high:.3f}, "
-            f"where {1 - USUALLY_OUTSIDE:.0%} lay when the threshold {self.threshold:.3f} was "
-            f"calibrated on {self.data}: it may not hold here; calibrate on images like these"
+        low, high = self.calibrated_range
+        outside = float(((similarities < low) | (similarities > high)).mean())
+        if outside > MAX_OUTSIDE:
+            return (
+                f"{outside:.0%} of the {count} similarities lie outside {low:.3f} to {high:.3f}, "
+                f"where nearly all lay when the recognizer was calibrated on {self.data}: its "
+                "threshold may not hold here; calibrate on images like these"
+            )
+        passing = float((similarities >= self.min_similarity).mean())
+        if passing > MAX_PASSING:
+            return (
+                f"{passing:.0%} of the {count} similarities reach {self.min_similarity:.3f}, as "
+                f"{TAIL:.0%} did between different places when the recognizer was calibrated on "
+                f"{self.data}: if this is not all one place, calibrate on images like these"
+            )
+        return None
+
+
+def fingerprint(recognizer: PlaceRecognizer) -> str:
+    """Return the recognizer's `fingerprint`, or where it has none, the hash of its source file.
+
+    A recognizer with weights has a member `fingerprint: str` that changes when they do.
+
+    Raises:
+        RecognizerError: it has no fingerprint and no source file.
+    """
+    own = getattr(recognizer, "fingerprint", None)
+    if isinstance(own, str):
+        return own
+    kind = type(recognizer)
+    try:
+        source = Path(inspect.getfile(kind)).read_bytes()
+    except (TypeError, OSError) as error:
+        raise RecognizerError(
+            f"recognizer {kind.__name__!r} has no source file to tell versions of it apart; "
+            "give it a member fingerprint: str"
+        ) from error
+    return f"sha256:{hashlib.sha256(source).hexdigest()}"
+
+
+def certificate_of(recognizer: PlaceRecognizer) -> Certificate | None:
+    """Return the recognizer's member `certificate`, None where it has none.
+
+    Raises:
+        RecognizerError: it cannot be read, is no certificate, or is of another version.
+    """
+    certificate = getattr(recognizer, "certificate", None)
+    if certificate is None:
+        return None
+    title = f"recognizer {type(recognizer).__name__!r}"
+    if not isinstance(certificate, Certificate):
+        raise RecognizerError(
+            f"{title} has a certificate that is a {type(certificate).__name__}; "
+            "it must be what placerec.certificate.read_certificate returns"
         )
+    if certificate.fingerprint != (own := fingerprint(recognizer)):
+        raise RecognizerError(
+            f"{title} has the certificate of another version, {certificate.fingerprint[:15]}... "
+            f"instead of {own[:15]}...: calibrate this one, or remove the certificate"
+        )
+    return certificate
+
+
+def certificate_path(weights: Path) -> Path:
+    """Return where the certificate of a file of weights lies: beside it."""
+    return weights.with_suffix(CERTIFICATE_SUFFIX)
 
 
 def write_certificate(certificate: Certificate, path: Path) -> None:

@@ -10,9 +10,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from placerec.certificate import (
+    Certificate,
+    certificate_path,
+    read_certificate,
+    write_certificate,
+)
 from placerec.networks import TRUNKS, Trunk
 from placerec.recognizer import RecognizerError
-from placerec.weights_file import hash_network, load_weights
+from placerec.weights_file import hash_network, load_weights, set_min_similarity
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "default.safetensors"
 FRAMES_PER_PASS = 32
@@ -36,12 +42,36 @@ class LearnedRecognizer:
         Raises:
             RecognizerError: the weights cannot be read, are damaged, or do not fit.
         """
+        if path == DEFAULT_WEIGHTS and not path.exists():
+            raise RecognizerError(
+                "no trained weights are installed; name a file made by `placerec train`, or "
+                f"another recognizer: {path}"
+            )
         self.network, self.min_similarity = load_weights(path, trunks)
+        self._path = path
 
     @cached_property
     def fingerprint(self) -> str:
         """What a certificate knows the weights by; it does not depend on min_similarity."""
         return hash_network(self.network)
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the weights.
+
+        Raises:
+            RecognizerError: it cannot be read, or is of other weights.
+        """
+        path = certificate_path(self._path)
+        if not path.exists():
+            return None
+        certificate = read_certificate(path)
+        if certificate.fingerprint != self.fingerprint:
+            raise RecognizerError(
+                f"the certificate is of other weights than {self._path.name}; calibrate these "
+                f"with `placerec calibrate`, or remove it: {path}"
+            )
+        return certificate
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of an image of any size.
@@ -80,6 +110,19 @@ class LearnedRecognizer:
         centre = self.embed_many(frames).mean(axis=0)
         embedding: NDArray[np.float32] = centre / np.linalg.norm(centre)
         return embedding
+
+
+def keep_calibration(weights: Path, certificate: Certificate) -> Path:
+    """Give weights the threshold that they were calibrated to, and return the certificate's path.
+
+    Raises:
+        RecognizerError: the weights cannot be read, or one of the files cannot be written.
+    """
+    path = certificate_path(weights)
+    # The evidence first: without the rest it is still true, and shows that the rest is missing.
+    write_certificate(certificate, path)
+    set_min_similarity(weights, certificate.min_similarity)
+    return path
 
 
 @contextmanager

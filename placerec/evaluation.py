@@ -42,6 +42,12 @@ class Curve:
         """The largest recall without a single error."""
         return float(self.recall[self.precision == 1.0].max(initial=0.0))
 
+    @property
+    def balanced_threshold(self) -> float:
+        """Where precision and recall are largest together (their harmonic mean)."""
+        together = np.maximum(self.precision + self.recall, np.finfo(float).tiny)
+        return float(self.thresholds[np.argmax(self.precision * self.recall / together)])
+
 
 @dataclass(frozen=True)
 class BestMatches:

@@ -26,8 +26,12 @@ class RecognizerError(Exception):
 class PlaceRecognizer(Protocol):
     """Turns an image into a point on the unit sphere; near points are the same place.
 
+    It may also have a `certificate`, what min_similarity was calibrated on, and a `fingerprint`
+    that tells its versions apart: see `placerec.certificate`.
+
     Attributes:
-        min_similarity: cosine from which a match is worth verifying, calibrated for this method.
+        min_similarity: cosine from which a match is worth verifying, calibrated for this method;
+            not one from which it is surely right, for geometry has the last word.
     """
 
     min_similarity: float
@@ -179,4 +183,6 @@ def _with_members(recognizer: object, title: str) -> PlaceRecognizer:
 def _cause(error: Exception) -> str:
     """Return an exception as one line."""
     text = " ".join(str(error).split())
+    if isinstance(error, RecognizerError):
+        return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

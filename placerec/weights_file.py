@@ -92,6 +92,22 @@ def load_weights(
     return network.eval(), description.min_similarity
 
 
+def set_min_similarity(path: Path, min_similarity: float) -> None:
+    """Write another threshold into a file of weights, which is replaced as a whole.
+
+    Args:
+        path: a file written by `save_weights`.
+        min_similarity: cosine from which a match is worth verifying.
+
+    Raises:
+        RecognizerError: the file cannot be read, is damaged, is a pickle, or cannot be written.
+    """
+    description, tensors = _read(path)
+    changed = description.model_copy(update={"min_similarity": min_similarity})
+    metadata = {METADATA_KEY: changed.model_dump_json()}
+    write_atomically(path, safetensors.torch.save(tensors, metadata))
+
+
 def hash_network(network: PlaceNetwork) -> str:
     """Return "sha256:..." of all that embeddings depend on: the tensors and the input's making."""
     made_with = (

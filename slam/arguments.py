@@ -16,7 +16,8 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
 
   run_slam demo                         render a room and run on it; needs no data
   run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
-  run_slam path/to/folder               any recording in the TUM RGB-D format
+  run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
+                                        Open3D, Redwood or RealSense, told by what it holds
   run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
 
 Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
@@ -27,7 +28,7 @@ class Arguments:
     """What run_slam was asked to do."""
 
     sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
-    """Folder in the TUM RGB-D format, short name of a TUM benchmark sequence, or `demo`."""
+    """Folder of a recording, short name of a TUM RGB-D benchmark sequence, or `demo`."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs; default: runs/SEQUENCE."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER

@@ -31,11 +31,11 @@ class InputConfig(Section):
     """How a sequence is read."""
 
     camera: Annotated[Path, AfterValidator(Path.absolute)] | None = None
-    """TOML file of the camera; default: camera.toml of the folder, else by the folder's name."""
+    """TOML file of the camera; default: camera.toml of the folder, else what its format tells."""
     depth_scale: PositiveFloat | None = None
     """Depth image units per metre; overrides the camera's."""
     max_time_difference_s: PositiveFloat = 0.02
-    """Colour and depth images further apart than this are not paired."""
+    """Colour and depth images of a TUM folder further apart than this are not paired."""
 
 
 class FeaturesConfig(Section):

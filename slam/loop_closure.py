@@ -6,8 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.certificate import certificate_of
 from placerec.index import PlaceIndex
 from placerec.recognizer import CheckedRecognizer, PlaceRecognizer
+from slam.calibration import Calibration
 from slam.config import LoopConfig, VerificationConfig
 from slam.relative_pose import (
     allow_for_turning,
@@ -36,9 +38,11 @@ class LoopCloser:
     ) -> None:
         self._camera = camera
         self._recognizer = CheckedRecognizer(recognizer)
+        self._certificate = certificate_of(recognizer)
         self._loop_config = loop_config
         self._verification_config = verification_config
         self._keyframes: list[Keyframe] = []
+        self._limits: list[int] = []
         self._index = PlaceIndex()
         chosen = loop_config.min_similarity
         self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
@@ -64,10 +68,9 @@ class LoopCloser:
         """
         latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
         old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
+        limit = min([old_enough, *linked_ids])
         ids, similarities = self._index.query(
-            embedding,
-            count=self._loop_config.candidates,
-            limit=min([old_enough, *linked_ids]),
+            embedding, count=self._loop_config.candidates, limit=limit
         )
         attempts = [
             self._attempt(keyframe, self._keyframes[match_id], float(similarity))
@@ -78,12 +81,21 @@ class LoopCloser:
             # The best of those that were not similar enough answers "why was there no loop?".
             attempts = [self._attempt(keyframe, self._keyframes[ids[0]], float(similarities[0]))]
         self._keyframes.append(keyframe)
+        self._limits.append(limit)
         self._index.add(embedding)
         return tuple(attempts)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), the cosine between the embeddings of all keyframes so far."""
         return self._index.similarities()
+
+    def calibration(self) -> Calibration | None:
+        """Return where the recognizer's threshold comes from and what it met, None if unknown."""
+        if self._certificate is None:
+            return None
+        rows = zip(self.similarities(), self._limits, strict=True)
+        live = np.concatenate([np.empty(0, np.float32), *(row[:limit] for row, limit in rows)])
+        return Calibration(self._certificate, live)
 
     def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
         if similarity < self.min_similarity:

@@ -18,6 +18,8 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits.
+    - min_similarity: the one from which candidates were verified.
+    - certificate: what the recognizer was calibrated on, its curve apart; None without one.
     - ate_*_m, rpe_*_m, rpe_*_deg: root mean square errors before (odometry) and after (corrected).
     - alignment, scale: how the ATE was taken; the scale is never adjusted.
     - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind
@@ -28,6 +30,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "camera": {**asdict(result.camera), "distortion": list(result.camera.distortion)},
         **_counts(result),
         **_loop_counts(result, drift),
+        **_recognizer(result),
         **_errors(drift),
         **_speed(result),
     }
@@ -53,6 +56,16 @@ def _loop_counts(result: SlamResult, drift: DriftReport | None) -> dict[str, obj
         "loops_outvoted": reasons.count(RejectionReason.OUTVOTED),
         "loops_judged": len(verdicts) if drift else None,
         "loops_false": sum(verdicts) if drift else None,
+    }
+
+
+def _recognizer(result: SlamResult) -> dict[str, object]:
+    calibration = result.calibration
+    return {
+        "min_similarity": result.min_similarity,
+        "certificate": calibration.certificate.model_dump(mode="json", exclude={"curve"})
+        if calibration
+        else None,
     }
 
 

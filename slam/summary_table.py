@@ -17,6 +17,7 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         ("camera", _camera(result.camera)),
         ("frames", f"{tracked} of {tracked + len(result.untracked_s)} tracked"),
         ("keyframes", f"{len(result.keyframes)}"),
+        ("recognizer", _recognizer(result)),
         ("loops", _loops(summary)),
     ]
     if drift is not None:
@@ -42,6 +43,18 @@ def _camera(camera: Camera) -> str:
     return (
         f"{camera.width}x{camera.height}, fx {camera.fx:g}, fy {camera.fy:g} px,"
         f" {camera.depth_scale:g} depth units per metre"
+    )
+
+
+def _recognizer(result: SlamResult) -> str:
+    text = f"verifies from similarity {result.min_similarity:.3f}"
+    if result.calibration is None:
+        return f"{text}, without a certificate"
+    certificate = result.calibration.certificate
+    low, high = certificate.threshold_interval
+    return (
+        f"{text}, calibrated on {certificate.data} ({certificate.pairs} pairs;"
+        f" tau {certificate.threshold:.3f}, {low:.3f} to {high:.3f})"
     )
 
 

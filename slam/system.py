@@ -164,6 +164,7 @@ class Slam:
         with self.clock.stage("graph"):
             solution = self._graph.finish()
         T_odom_kf = np.array([keyframe.T_odom_cam for keyframe in self._keyframes])
+        calibration = self._loop_closer.calibration()
         return SlamResult(
             camera=self._camera,
             keyframes=tuple(self._keyframes),
@@ -179,7 +180,12 @@ class Slam:
             min_similarity=self._loop_closer.min_similarity,
             untracked_s=np.array(self._untracked_s),
             stage_seconds=dict(self.clock.seconds),
-            warnings=(*self._tracking_warnings(), *solution.warnings),
+            warnings=(
+                *self._tracking_warnings(),
+                *solution.warnings,
+                *(calibration.warnings if calibration else ()),
+            ),
+            calibration=calibration,
         )
 
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:

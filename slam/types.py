@@ -7,6 +7,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.calibration import Calibration
+
 FloatArray = NDArray[np.float64]
 
 
@@ -218,6 +220,7 @@ class SlamResult:
         untracked_s: timestamps of the frames that could not be tracked.
         stage_seconds: total wall time per stage, in the order of the pipeline.
         warnings: what a user should know before trusting the result; one sentence each.
+        calibration: where the recognizer's threshold comes from, None where nobody says so.
     """
 
     camera: Camera
@@ -232,3 +235,4 @@ class SlamResult:
     untracked_s: FloatArray
     stage_seconds: dict[str, float]
     warnings: tuple[str, ...]
+    calibration: Calibration | None = None

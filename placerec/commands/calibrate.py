@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`placerec calibrate`: from which similarity are two images taken for one place?"""
+"""`placerec calibrate`: from which similarity is a match worth verifying, and the evidence."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,38 +7,62 @@ from typing import Annotated
 import tyro
 
 from placerec import calibration
-from placerec.certificate import Certificate, write_certificate
+from placerec.certificate import TAIL, Certificate, write_certificate
 from placerec.commands.data import RECOGNIZER, describe, embed_data, open_data
-from placerec.recognizer import load
+from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
 
 
 def calibrate(
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")],
     /,
     recognizer: Annotated[str, tyro.conf.arg(metavar=RECOGNIZER)],
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")],
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """Find the threshold of a recognizer: the largest recall without an error on some data.
+    """Find from which similarity a match is worth verifying, and from which it is surely right.
 
-    Example: placerec calibrate ie_tower:validation --recognizer gradients --out gradients.json
+    Example: placerec calibrate ie_tower:validation --recognizer runs/tower/weights.safetensors
+
+    Trained weights are given the first of these as their min_similarity, and the certificate of
+    both, weights.certificate.json, is put beside them, where run_slam finds it for its report.
 
     Args:
         data: images not used in training or to choose; formats as in evaluate.
         recognizer: an installed name, package.module:ClassName, or trained weights.
-        out: certificate to write beside the weights, as JSON.
+        out: write the certificate to this file, as JSON, and leave weights as they are; needed
+            where the recognizer is no file of weights.
     """
+    is_weights = recognizer.endswith(WEIGHTS_SUFFIX)
+    if out is None and not is_weights:
+        raise RecognizerError(
+            f"{recognizer} is no file of weights that a certificate could lie beside; "
+            "say with --out FILE.json where to write it"
+        )
     loaded, dataset = load(recognizer), open_data(data)
     embeddings, _ = embed_data(recognizer, loaded, dataset)
-    certificate = calibration.calibrate(recognizer, loaded, dataset, embeddings)
-    write_certificate(certificate, out)
-    print(f"{describe(dataset)}\n{_summary(certificate)}\nwritten to {out}")
+    name = Path(recognizer).name if is_weights else recognizer
+    certificate = calibration.calibrate(name, loaded, dataset, embeddings)
+    print(f"{describe(dataset)}\n{_summary(certificate)}\n{_keep(certificate, recognizer, out)}")
     return 0
+
+
+def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
+    """Write what was found to where it belongs, and return what was done."""
+    if out is not None:
+        write_certificate(certificate, out)
+        return f"certificate written to {out}"
+    # Loaded here, because torch takes seconds that recognizers without weights do not need.
+    from placerec.embedding import keep_calibration
+
+    path = keep_calibration(Path(weights), certificate)
+    return f"min_similarity written to {weights}\ncertificate written to {path}"
 
 
 def _summary(certificate: Certificate) -> str:
     low, high = certificate.threshold_interval
     least, most = certificate.recall_interval
     return (
-        f"threshold {certificate.threshold:.4f} (95 % interval {low:.4f} to {high:.4f}), "
-        f"recall at 100 % precision {certificate.recall:.3f} ({least:.3f} to {most:.3f})"
+        f"worth verifying from {certificate.min_similarity:.4f}: {TAIL:.0%} of the pairs of "
+        f"different places are so alike, and {certificate.recall_to_verify:.1%} of those of one "
+        f"place\nthreshold without an error {certificate.threshold:.4f} (95 % interval {low:.4f} "
+        f"to {high:.4f}), recall {certificate.recall:.3f} ({least:.3f} to {most:.3f})"
     )

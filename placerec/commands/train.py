@@ -47,7 +47,8 @@ def train(
 
     if not data:
         raise RecognizerError("train needs at least one folder of images; see --help")
-    images, workers = LabelledImages([open_data(source, "train") for source in data]), Workers()
+    datasets = [open_data(source, "train") for source in data]
+    images, workers = LabelledImages(datasets), Workers()
     with deferred_interrupts() as interrupted:
         bar = _TrainingBar(plan.steps, interrupted, is_shown=workers.is_first)
         try:
@@ -59,7 +60,12 @@ def train(
             bar.close()
     if workers.is_first:
         path = write_results(training, plan, out)
-        print(f"the training is over: {training.end}\nwritten to {path}, not calibrated yet")
+        skipped = sum(len(dataset.skipped) for dataset in datasets)
+        print(
+            f"the training is over: {training.end}\n"
+            f"learned from {len(images)} images ({skipped} skipped)\n"
+            f"written to {path}, not calibrated yet"
+        )
     return 0
 
 

@@ -3,7 +3,7 @@
 
 from slam.datasets.cameras import read_camera, write_camera
 from slam.datasets.download import resolve
+from slam.datasets.formats import open_sequence
 from slam.datasets.sequence import Sequence
-from slam.datasets.tum import open_sequence
 
 __all__ = ["Sequence", "open_sequence", "read_camera", "resolve", "write_camera"]

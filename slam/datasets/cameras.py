@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which camera a recording was made with: the benchmark's own three, or one from a TOML file."""
+"""Which camera a recording was made with: the one that is named, or the format's own."""
 
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
@@ -43,21 +44,28 @@ class _CameraTable(BaseModel):
     depth_scale: PositiveFloat
 
 
-def choose_camera(folder: Path, config: InputConfig) -> Camera:
-    """Return the camera the user names, else the folder's camera.toml, else its freiburg camera.
+def named_camera(folder: Path, config: InputConfig) -> Camera | None:
+    """Return the camera the user names, else the folder's camera.toml, else None.
 
     Raises:
-        SlamError: a camera file is not usable, or nothing says which camera it was.
+        SlamError: the camera file is not usable.
     """
-    camera = _find_camera(folder, config)
+    if config.camera is not None:
+        return read_camera(config.camera)
+    return read_camera(folder / CAMERA_FILE) if (folder / CAMERA_FILE).is_file() else None
+
+
+def rescaled(camera: Camera, config: InputConfig) -> Camera:
+    """Return the camera with the depth scale that the user names, if any."""
     return camera if config.depth_scale is None else replace(camera, depth_scale=config.depth_scale)
 
 
-def _find_camera(folder: Path, config: InputConfig) -> Camera:
-    if config.camera is not None:
-        return read_camera(config.camera)
-    if (folder / CAMERA_FILE).is_file():
-        return read_camera(folder / CAMERA_FILE)
+def freiburg_camera(folder: Path) -> Camera:
+    """Return the camera of the TUM RGB-D benchmark that the folder's name tells.
+
+    Raises:
+        SlamError: the name tells none.
+    """
     if named := _FREIBURG_NAME.search(folder.resolve().name):
         return FREIBURG[named[1]]
     raise SlamError(
@@ -75,11 +83,22 @@ def read_camera(path: Path) -> Camera:
         SlamError: the file is missing, is not TOML, or a key is missing, unknown or out of range.
     """
     try:
-        table = _CameraTable.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SlamError(f"cannot read the camera file: {error.strerror}: {path}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SlamError(f"the camera file is not valid TOML: {error}: {path}") from error
+    return camera_of(values, path)
+
+
+def camera_of(values: Mapping[str, object], path: Path) -> Camera:
+    """Return the camera of the keys and values that a file holds.
+
+    Raises:
+        SlamError: a key is missing, unknown or out of range.
+    """
+    try:
+        table = _CameraTable.model_validate(values)
     except ValidationError as error:
         raise SlamError(f"{_describe(error)}: {path}") from error
     if not (0.0 <= table.cx < table.width and 0.0 <= table.cy < table.height):

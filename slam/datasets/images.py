@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Colour and depth image files, decoded; a broken file is an answer, not an exception."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from slam.types import SlamError
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 _TAIL_BYTES = 64
+_NO_DEPTH = np.iinfo(np.uint16).max  # some sensors' drivers write it instead of 0
 
 
 class BrokenImage(NamedTuple):
@@ -33,7 +35,7 @@ def read_color(path: Path) -> NDArray[np.uint8] | BrokenImage:
 
 
 def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
-    """Return a depth image as (H, W) float32, metres, 0 where unknown.
+    """Return a depth image as (H, W) float32, metres, 0 where unknown (0 or 65535 in it).
 
     Raises:
         SlamError: the image is not of the kind that holds depth.
@@ -47,7 +49,24 @@ def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenIm
             f"a depth image has {channels} channel(s) of {image.dtype}; it must have one channel"
             f" of 16 bits (uint16, {depth_scale:g} units per metre): {path}"
         )
+    image[image == _NO_DEPTH] = 0
     return image.astype(np.float32) / np.float32(depth_scale)
+
+
+def read_size(paths: Iterable[Path]) -> tuple[int, int]:
+    """Return (width, height), pixels, of the first of the images that can be read.
+
+    Raises:
+        SlamError: none of them can.
+    """
+    broken = None
+    for path in paths:
+        image = _decode(path, cv2.IMREAD_UNCHANGED)
+        if not isinstance(image, BrokenImage):
+            return image.shape[1], image.shape[0]
+        broken = broken or image
+    why = f"{broken.why}: {broken.path}" if broken else "there is none"
+    raise SlamError(f"none of the images can be read; the first: {why}")
 
 
 def _decode(path: Path, flags: int) -> MatLike | BrokenImage:

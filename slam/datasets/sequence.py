@@ -2,20 +2,26 @@
 """A recording on disk, whatever its format: frames in the order of time, read ahead."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.datasets.images import BrokenImage, read_color, read_depth
 from slam.datasets.plausibility import doubts_about_depth, doubts_about_intrinsics
+from slam.datasets.registration import Registration
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
 
 _READERS = 2
 _FRAMES_AHEAD = 4
 _SAMPLES = 4
+
+DepthReader = Callable[[Path], NDArray[np.float32] | BrokenImage]
+"""Returns a depth image as (H, W) float32, metres, 0 where unknown."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class Sequence:
 
     Attributes:
         name: short name, for people.
-        camera: the camera that made it.
+        camera: the camera of its frames.
         timestamps_s: (N,) float64, strictly increasing, the frames whose files exist.
         ground_truth: true camera poses, or None where there are none.
         unpaired_color, unpaired_depth: listed images without a partner close enough in time.
@@ -50,8 +56,21 @@ class Sequence:
         unpaired_color: int = 0,
         unpaired_depth: int = 0,
         warnings: tuple[str, ...] = (),
+        registration: Registration | None = None,
+        read_depth_file: DepthReader | None = None,
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
+
+        Args:
+            name: as below.
+            camera: as below.
+            images: the files of all frames, in the order of time.
+            ground_truth: as below.
+            unpaired_color: as below.
+            unpaired_depth: as below.
+            warnings: what was noticed so far.
+            registration: how colour and depth files belong together; default: pixel by pixel.
+            read_depth_file: default: reads images of 16 bits, in the camera's depth scale.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
@@ -61,6 +80,8 @@ class Sequence:
         self.ground_truth = ground_truth
         self.unpaired_color = unpaired_color
         self.unpaired_depth = unpaired_depth
+        self._registration = registration
+        self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
         self._skipped: dict[float, BrokenImage] = {}
         self._images = [pair for pair in images if self._exists(pair)]
@@ -135,22 +156,31 @@ class Sequence:
         rgb = read_color(pair.color_path)
         if isinstance(rgb, BrokenImage):
             return rgb
-        if rgb.shape[:2] != (self.camera.height, self.camera.width):
+        color_camera = self._registration.color_camera if self._registration else self.camera
+        if rgb.shape[:2] != (color_camera.height, color_camera.width):
             raise SlamError(
                 f"a colour image has {rgb.shape[1]}x{rgb.shape[0]} pixels but the camera"
-                f" {self.camera.width}x{self.camera.height}; give the camera that made it with"
+                f" {color_camera.width}x{color_camera.height}; give the camera that made it with"
                 f" --input.camera FILE.toml: {pair.color_path}"
             )
-        depth_m = read_depth(pair.depth_path, self.camera.depth_scale)
+        depth_m = self._read_depth(pair.depth_path)
         if isinstance(depth_m, BrokenImage):
             return depth_m
-        if depth_m.shape != rgb.shape[:2]:
-            raise SlamError(
-                f"a depth image has {depth_m.shape[1]}x{depth_m.shape[0]} pixels but its colour"
-                f" image {rgb.shape[1]}x{rgb.shape[0]}; depth must be registered to colour, pixel"
-                f" by pixel: {pair.depth_path}"
-            )
+        if depth_m.shape != (self.camera.height, self.camera.width):
+            raise SlamError(self._wrong_depth(depth_m.shape, pair.depth_path))
+        if self._registration:
+            rgb = self._registration.register_color(rgb)
+            depth_m = self._registration.register_depth(depth_m)
         return Frame(pair.timestamp_s, rgb, depth_m)
+
+    def _wrong_depth(self, shape: tuple[int, ...], path: Path) -> str:
+        size, wanted = f"{shape[1]}x{shape[0]}", f"{self.camera.width}x{self.camera.height}"
+        if self._registration:
+            return f"a depth image has {size} pixels but the depth camera {wanted}: {path}"
+        return (
+            f"a depth image has {size} pixels but its colour image {wanted}; depth must be"
+            f" registered to colour, pixel by pixel: {path}"
+        )
 
     def _read_ahead(self) -> Iterator[Frame | BrokenImage]:
         readers = ThreadPoolExecutor(_READERS, thread_name_prefix="images")

@@ -18,7 +18,12 @@ from slam.report.gallery import choose, picture
 from slam.report.headline import headline, length
 from slam.report.path_figures import correction_over_time, error_over_time, path_view
 from slam.report.paths import Paths, gather
-from slam.report.place_figures import distance_matrix, similarity_histogram, similarity_matrix
+from slam.report.place_figures import (
+    calibrated_range,
+    distance_matrix,
+    similarity_histogram,
+    similarity_matrix,
+)
 from slam.types import RejectionReason, SlamResult, Trajectory
 
 MAX_ROWS = 1000
@@ -81,6 +86,7 @@ def render(
     )
     environment.filters["length"] = length
     environment.filters["number"] = number
+    environment.filters["percent"] = percent
     chosen = choose(loops)
     paths = gather(result, drift, truth)
     return environment.get_template("page.html").render(
@@ -97,6 +103,7 @@ def render(
         attempted=len(loops),
         accepted=sum(loop.rejection is None for loop in loops),
         false=sum(loop.kind == FALSE for loop in loops),
+        used_otherwise=is_other_threshold(result),
         paths=paths,
         stages=stages(result.stage_seconds, frames),
         settings=settings_toml,
@@ -121,7 +128,17 @@ def draw(
         drawings["error"] = correction_over_time(paths, result, loops)
     if loops:
         drawings["histogram"] = similarity_histogram(loops, result.min_similarity)
+    if result.calibration is not None:
+        drawings["calibrated"] = calibrated_range(result.calibration, result.min_similarity)
     return drawings
+
+
+def is_other_threshold(result: SlamResult) -> bool:
+    """Return whether a run verified from another similarity than its recognizer's certificate."""
+    if result.calibration is None:
+        return False
+    calibrated = result.calibration.certificate.min_similarity
+    return not np.isclose(result.min_similarity, calibrated, atol=1e-6)
 
 
 def count(loops: list[Decision]) -> list[tuple[str, str, int]]:
@@ -154,3 +171,8 @@ def versions() -> list[tuple[str, str]]:
 def number(value: float | None, digits: int) -> str:
     """Return a number with so many decimals, a dash where it is unknown."""
     return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+
+
+def percent(share: float) -> str:
+    """Return a share of one in per cent, a dash where it is unknown."""
+    return f"{number(100.0 * share, 1)} %"

@@ -8,7 +8,8 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from slam.report.canvas import AFTER, BEFORE, INK, WRONG, draw
+from slam.calibration import Calibration
+from slam.report.canvas import AFTER, BEFORE, INK, TRUTH, WRONG, draw
 from slam.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision
 from slam.report.paths import Paths
 from slam.types import SlamResult
@@ -119,3 +120,32 @@ def similarity_histogram(loops: list[Decision], min_similarity: float) -> Markup
         axes.set_ylabel("candidates")
 
     return draw("histogram", "Histogram of similarity of accepted and rejected candidates", paint)
+
+
+def calibrated_range(calibration: Calibration, min_similarity: float) -> Markup:
+    """Draw how similar the keyframes look beside where the recognizer was calibrated."""
+    certificate, live = calibration.certificate, calibration.live_similarities
+    marks = (*certificate.calibrated_range, certificate.threshold, min_similarity)
+    low, high = float(live.min(initial=min(marks))), float(live.max(initial=max(marks)))
+    bins = np.linspace(low - 1e-3, high + 1e-3, 61).tolist()
+    bars = (
+        (certificate.different_places, 1.16, BEFORE, "different places"),
+        (certificate.same_place, 1.07, AFTER, "one place"),
+    )
+
+    def paint(axes: Axes) -> None:
+        counts, _, _ = axes.hist(live, bins=bins, color=TRUTH, label="in this run")
+        top = max(float(np.max(counts)), 1.0)
+        for (start, stop), height, colour, label in bars:
+            axes.hlines(height * top, start, stop, color=colour, lw=7, label=label)
+        lines = ((min_similarity, "--", "verified from"), (certificate.threshold, ":", "tau"))
+        for value, style, name in lines:
+            axes.axvline(value, color=INK, lw=1.2, ls=style, label=f"{name} {value:.3f}")
+        axes.set_ylim(0, 1.22 * top)
+        axes.set_xlabel("similarity")
+        axes.set_ylabel("pairs of keyframes")
+
+    alt = (
+        "Histogram of the similarity of keyframes, below bars for where the calibration's pairs lay"
+    )
+    return draw("calibrated", alt, paint)

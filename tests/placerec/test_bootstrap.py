@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placerec import bootstrap as module
-from placerec.bootstrap import bootstrap, draws
+from placerec.bootstrap import bootstrap
 from placerec.datasets import PlaceDataset
 from placerec.evaluation import evaluate
 
@@ -42,7 +42,10 @@ def test_intervals_agree_with_copies_of_the_pairs_drawn(monkeypatch, labelled, l
     monkeypatch.setattr(module, "RESAMPLES", 30)
     dataset, embeddings = drive(PLACES, labelled), noisy(PLACES, 1.2, levels)
     found = evaluate(dataset, embeddings)
-    naive = [naive_figures(found.similarities, dataset, drawn) for drawn in draws(dataset, 7)]
+    naive = [
+        naive_figures(found.similarities, dataset, drawn)
+        for drawn in module._draws(module._units(dataset), 7)
+    ]
     expected = np.quantile(np.array(naive), [0.025, 0.975], axis=0)
     intervals = bootstrap(found, dataset, seed=7)
     ours = [intervals.average_precision, intervals.recall_at_full_precision]
@@ -62,7 +65,9 @@ def naive_figures(similarities, dataset, drawn):
         ]
         for similarity, is_wrong, j in row:
             if i < j:
-                pairs += [(similarity, is_wrong)] * int(drawn[i] * drawn[j])
+                together = dataset.places is not None and dataset.places[i] == dataset.places[j]
+                times = drawn[i] if together else drawn[i] * drawn[j]
+                pairs += [(similarity, is_wrong)] * int(times)
         similarity, is_wrong, _ = max(row)
         best += [(similarity, is_wrong)] * int(drawn[i])
         total += int(drawn[i]) * any(not is_wrong for _, is_wrong, _ in row)
@@ -85,6 +90,16 @@ def test_figures_lie_within_and_the_seed_decides():
     assert low <= found.best_match_curve.recall_at_full_precision <= high
     assert bootstrap(found, dataset) == intervals
     assert bootstrap(found, dataset, seed=1) != intervals
+
+
+def test_what_is_drawn_twice_is_not_compared_with_itself():
+    """Pairs within a place would otherwise count twice as much, on average, as all others."""
+    places = np.repeat(np.arange(60), 3)
+    dataset, embeddings = drive(places), noisy(places, 1.6)
+    found = evaluate(dataset, embeddings)
+    low, high = bootstrap(found, dataset).average_precision
+    assert low < found.pair_curve.area < high
+    assert abs((low + high) / 2 - found.pair_curve.area) < 0.25 * (high - low)
 
 
 def test_more_images_make_it_narrower_and_perfection_has_no_width():

@@ -1,10 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from placerec.certificate import Certificate, read_certificate, write_certificate
+from placerec.certificate import (
+    Certificate,
+    certificate_of,
+    certificate_path,
+    fingerprint,
+    read_certificate,
+    write_certificate,
+)
+from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
 
 
@@ -27,7 +36,9 @@ def certificate():
         resamples=100,
         without_threshold=2,
         seed=0,
-        similarity_range=(-0.1, 0.9),
+        different_places=(-0.1, 0.6),
+        same_place=(0.3, 0.9),
+        recall_to_verify=0.75,
         curve=((0.9, 1.0, 0.1), (0.8, 1.0, 0.5), (0.2, 0.5, 1.0)),
     )
 
@@ -39,21 +50,50 @@ def test_reads_what_it_wrote(tmp_path, certificate):
     assert json.loads(path.read_text())["threshold"] == 0.8
 
 
+def test_a_match_is_worth_verifying_from_where_hardly_any_are_of_different_places(certificate):
+    assert certificate.min_similarity == 0.6
+    assert certificate.calibrated_range == (-0.1, 0.9)
+    # Cosines of single precision may end a little above 1, which no recognizer may ask for.
+    rounded = certificate.model_copy(update={"different_places": (0.0, 1.0000001)})
+    assert rounded.min_similarity == 1.0
+
+
 def test_similarities_like_those_calibrated_on_need_no_warning(certificate):
     usual = np.linspace(-0.1, 0.9, 100)
     assert certificate.outside_calibrated_range(usual) is None
-    few_outside = np.append(usual, np.full(11, 0.95))
-    assert certificate.outside_calibrated_range(few_outside) is None
-    assert certificate.outside_calibrated_range(np.empty(0)) is None
+    assert certificate.outside_calibrated_range(np.append(usual, np.full(11, 0.95))) is None
+    assert certificate.outside_calibrated_range(np.append(usual, np.full(12, 0.95))) is not None
+
+
+@pytest.mark.parametrize("same_place_share", [0.0, 0.5, 0.9])
+def test_how_often_places_come_back_is_no_reason_to_warn(certificate, same_place_share):
+    rng = np.random.default_rng(0)
+    same = rng.uniform(0.3, 0.9, int(1000 * same_place_share))
+    different = rng.uniform(-0.1, 0.6, 1000 - len(same))
+    assert certificate.outside_calibrated_range(np.concatenate([same, different])) is None
 
 
 @pytest.mark.parametrize("outside", [0.95, -0.2])
 def test_many_similarities_outside_are_one_sentence(certificate, outside):
-    live = np.array([0.5] * 8 + [outside] * 2, np.float32)
+    live = np.array([0.5] * 80 + [outside] * 20, np.float32)
     warning = certificate.outside_calibrated_range(live)
-    assert warning.startswith("20% of 10 similarities lie outside -0.100 to 0.900, where 98% lay")
-    assert "somewhere" in warning
+    assert warning.startswith("20% of the 100 similarities lie outside -0.100 to 0.900")
+    assert "calibrated on somewhere" in warning
     assert "\n" not in warning
+
+
+def test_a_threshold_that_nearly_all_reach_sorts_nothing_out(certificate):
+    alike = np.array([0.7] * 96 + [0.5] * 4, np.float32)
+    warning = certificate.outside_calibrated_range(alike)
+    assert warning.startswith("96% of the 100 similarities reach 0.600, as 1% did between differ")
+    assert "\n" not in warning
+    assert certificate.outside_calibrated_range(np.append(alike, [0.5, 0.5])) is None
+
+
+def test_too_few_similarities_say_nothing(certificate):
+    assert certificate.outside_calibrated_range(np.full(49, -0.9)) is None
+    assert certificate.outside_calibrated_range(np.full(50, -0.9)) is not None
+    assert certificate.outside_calibrated_range(np.empty(0)) is None
 
 
 @pytest.mark.parametrize(
@@ -90,3 +130,56 @@ def test_missing_file_is_one_line(tmp_path):
 def test_folder_that_is_not_there_is_one_line(tmp_path, certificate):
     with pytest.raises(RecognizerError, match=r"cannot write c\.json: No such file"):
         write_certificate(certificate, tmp_path / "gone" / "c.json")
+
+
+class Learned:
+    min_similarity = 0.5
+
+    def __init__(self, version, certificate=None):
+        self.fingerprint = f"sha256:{version}"
+        self.certificate = certificate
+
+    def embed(self, image):
+        raise NotImplementedError
+
+
+def test_fingerprint_changes_with_the_weights_or_else_with_the_source():
+    assert fingerprint(Learned("a")) == "sha256:a"
+    assert fingerprint(Learned("b")) == "sha256:b"
+    own = fingerprint(GradientRecognizer())
+    assert own.startswith("sha256:")
+    assert own == fingerprint(GradientRecognizer())
+
+
+def test_recognizer_without_source_has_no_fingerprint():
+    typed_in = type("Typed", (), {"__module__": "builtins"})()
+    with pytest.raises(RecognizerError, match="recognizer 'Typed' has no source file"):
+        fingerprint(typed_in)
+
+
+def test_certificate_of_a_recognizer_is_its_own_or_none(certificate):
+    assert certificate_of(GradientRecognizer()) is None
+    assert certificate_of(Learned("0")) is None
+    assert certificate_of(Learned("0", certificate)) is certificate
+
+
+@pytest.mark.parametrize(
+    ("version", "kind", "message"),
+    [
+        (
+            "1",
+            Certificate,
+            r"has the certificate of another version, sha256:0\.\.\. instead",
+        ),
+        ("0", Path, "has a certificate that is a PosixPath; it must be what "),
+    ],
+)
+def test_certificate_that_is_not_of_the_recognizer_is_refused(certificate, version, kind, message):
+    wrong = certificate if kind is Certificate else Path("c.json")
+    with pytest.raises(RecognizerError, match=f"recognizer 'Learned' {message}") as caught:
+        certificate_of(Learned(version, wrong))
+    assert "\n" not in str(caught.value)
+
+
+def test_certificate_lies_beside_the_weights():
+    assert certificate_path(Path("runs/a.b/w.safetensors")) == Path("runs/a.b/w.certificate.json")

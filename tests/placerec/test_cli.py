@@ -76,7 +76,18 @@ def test_calibrate_writes_a_certificate(drives, tmp_path, capsys):
     certificate = read_certificate(out)
     assert certificate.recognizer == GRADIENTS
     assert (certificate.pairs, certificate.skipped, certificate.recall) == (20, 1, 1.0)
-    assert f"threshold {certificate.threshold:.4f} (95 % interval " in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert f"worth verifying from {certificate.min_similarity:.4f}: 1% of the pairs of d" in shown
+    assert f"without an error {certificate.threshold:.4f} (95 % interval " in shown
+    assert shown.endswith(f"certificate written to {out}\n")
+
+
+def test_calibrate_says_that_a_certificate_needs_a_place_before_it_starts(capsys):
+    assert main(["calibrate", "no-folder", "--recognizer", GRADIENTS]) == 2
+    assert capsys.readouterr().err == (
+        f"placerec: {GRADIENTS} is no file of weights that a certificate could lie beside; say "
+        "with --out FILE.json where to write it\n"
+    )
 
 
 @pytest.mark.parametrize(

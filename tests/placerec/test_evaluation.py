@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from placerec.datasets import PlaceDataset, open_dataset
 from placerec.embedded_images import embed_dataset
 from placerec.evaluation import (
+    Curve,
     best_match_curve,
     best_matches,
     compare,
@@ -248,3 +249,10 @@ def test_known_figures_on_fr1_desk(real_data, recognizer, figures):
         result.best_match_curve.recall_at_full_precision,
     )
     assert np.allclose(found, figures, atol=0.002)
+
+
+def test_threshold_where_precision_and_recall_are_largest_together():
+    curve = Curve(np.array([0.9, 0.7, 0.2]), np.array([1.0, 0.8, 0.3]), np.array([0.2, 0.6, 0.9]))
+    assert curve.balanced_threshold == 0.7
+    nothing = Curve(np.array([0.9, 0.7]), np.zeros(2), np.zeros(2))
+    assert nothing.balanced_threshold == 0.9

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training as a user meets it: through `placerec train`."""
 
+import math
 import signal
 import sys
 from collections import Counter
@@ -9,9 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec.certificate import read_certificate
 from placerec.cli import main
 from placerec.datasets import LabelledImages, open_dataset
 from placerec.embedding import LearnedRecognizer
+from placerec.learner import Learner
 from placerec.training_config import Loss
 from placerec.training_log import TrainingLog, read_log
 from placerec.training_plan import TrainingPlan
@@ -82,10 +85,23 @@ def test_leaves_weights_that_recognise_a_log_and_its_plot(tower, tmp_path, capsy
     assert LearnedRecognizer(weights).embed(open_dataset(str(tower))[0]).shape == (8,)
     assert main(["evaluate", str(tower), "--recognizers", str(weights)]) == 0
     assert f"| tower:test | {weights} |" in capsys.readouterr().out
-    certificate = tmp_path / "certificate.json"
-    calibrate = ["calibrate", str(tower), "--recognizer", str(weights), "--out", str(certificate)]
-    assert main(calibrate) == 0
-    assert LearnedRecognizer(weights).fingerprint in certificate.read_text()
+
+
+def test_calibrating_gives_the_weights_their_threshold_and_its_evidence(tower, tmp_path, capsys):
+    assert _train(tower, tmp_path / "run", steps=1) == 0
+    weights, apart = tmp_path / "run/weights.safetensors", tmp_path / "apart.json"
+    fresh, command = weights.read_bytes(), ["calibrate", str(tower), "--recognizer", str(weights)]
+    assert main([*command, "--out", str(apart)]) == 0
+    assert weights.read_bytes() == fresh and _files(tmp_path / "run") == OUTPUTS
+    assert main(command) == 0
+    certificate = LearnedRecognizer(weights).certificate
+    assert certificate == read_certificate(apart)
+    assert (certificate.recognizer, certificate.data) == ("weights.safetensors", "tower:test")
+    assert LearnedRecognizer(weights).min_similarity == certificate.min_similarity
+    assert _files(tmp_path / "run") == sorted([*OUTPUTS, "weights.certificate.json"])
+    assert f"min_similarity written to {weights}\n" in capsys.readouterr().out
+    assert main([*command, "--out", str(apart)]) == 0
+    assert read_certificate(apart) == certificate  # it is not of the threshold in the file
 
 
 def test_same_command_same_bytes_and_another_seed_others(tower, tmp_path):
@@ -209,7 +225,42 @@ def test_broken_images_are_named_and_left_out(tower, tmp_path, capsys):
     broken = tower / "images/floor1/clip0_frame_000002.png"
     broken.write_bytes(broken.read_bytes()[:100])
     assert _train(tower, tmp_path / "run", steps=1) == 0
-    assert f"skipped: the file is cut off: {broken}" in capsys.readouterr().err
+    shown = capsys.readouterr()
+    assert f"skipped: the file is cut off: {broken}" in shown.err
+    assert "learned from 23 images (1 skipped)\n" in shown.out
+
+
+def test_images_of_any_size_and_kind_are_learned_from(tower, tmp_path):
+    floor = tower / "images/floor1"
+    shapes = [(1, 1, 3), (300, 5, 3), (40, 60), (40, 60, 4), (2, 700, 3)]
+    for frame, shape in enumerate(shapes):
+        image = np.random.default_rng(frame).integers(0, 256, shape, np.uint8)
+        assert cv2.imwrite(str(floor / f"clip0_frame_{frame:06}.png"), image)
+    assert _train(tower, tmp_path / "run", steps=2) == 0
+    weights = LearnedRecognizer(tmp_path / "run/weights.safetensors")
+    for image in open_dataset(f"{tower}:train"):
+        assert np.linalg.norm(weights.embed(image)) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_loss_that_is_no_number_is_one_line_and_keeps_the_last_good_checkpoint(
+    tower, tmp_path, capsys, monkeypatch
+):
+    out, original = tmp_path / "run", Learner.work_out_gradients
+    assert _train(tower, out, steps=2) == 0
+    capsys.readouterr()
+
+    def breaks(self, batch, step):
+        return original(self, batch, step) if step < 3 else (math.nan, 1.0, False)
+
+    monkeypatch.setattr(Learner, "work_out_gradients", breaks)
+    assert _train(tower, out, steps=5) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("placerec: the training broke down at step 4: the loss is nan or a ")
+    assert error.count("\n") == 1
+    monkeypatch.undo()
+    assert len(read_log(out / "log.csv")) == 3
+    assert _train(tower, out, steps=4) == 0
+    assert [record.step for record in read_log(out / "log.csv")] == [1, 2, 3, 4]
 
 
 def test_weights_of_another_network_or_a_pickle_are_refused(tower, tmp_path, capsys):

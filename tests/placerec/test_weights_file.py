@@ -9,7 +9,7 @@ from torch import nn
 
 from placerec.networks import TRUNKS, PlaceNetwork, Preprocessing, Trunk
 from placerec.recognizer import RecognizerError
-from placerec.weights_file import load_weights, save_weights
+from placerec.weights_file import load_weights, save_weights, set_min_similarity
 
 PLAIN = Preprocessing(16, 12, (0.0, 0.0, 0.0), (255.0, 255.0, 255.0))
 TINY = Trunk("tiny", lambda: nn.Sequential(nn.Conv2d(3, 5, 3), nn.BatchNorm2d(5)), PLAIN)
@@ -41,6 +41,22 @@ def test_same_network_same_bytes_and_saving_again_changes_nothing(tmp_path):
     save_weights(_network(seed=1), again, 0.5)
     assert first.read_bytes() != again.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["again", "first"]
+
+
+def test_another_threshold_changes_nothing_else(tmp_path):
+    changed, expected = tmp_path / "changed", tmp_path / "expected"
+    save_weights(PlaceNetwork(TINY, 3), changed, 0.5)  # of a trunk that need not be known
+    save_weights(PlaceNetwork(TINY, 3), expected, 0.75)
+    set_min_similarity(changed, 0.75)
+    assert changed.read_bytes() == expected.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["changed", "expected"]
+
+
+def test_threshold_of_what_is_no_weights_file_is_not_set(tmp_path):
+    (tmp_path / "w").write_bytes(b"my thesis")
+    with pytest.raises(RecognizerError, match="not a whole safetensors file"):
+        set_min_similarity(tmp_path / "w", 0.5)
+    assert (tmp_path / "w").read_bytes() == b"my thesis"
 
 
 def test_own_trunk_is_handed_over(tmp_path):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import errno
+import html
 import json
 import os
 import shutil
@@ -14,6 +15,11 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec import certificate
+from placerec.certificate import Certificate
+from placerec.embedding import LearnedRecognizer, keep_calibration
+from placerec.networks import TRUNKS, PlaceNetwork
+from placerec.weights_file import save_weights
 from slam.cli import main
 from slam.datasets import read_camera, write_camera
 from slam.system import Slam
@@ -108,9 +114,8 @@ def test_a_run_leaves_every_output_and_ends_with_a_table(good):
     assert good.code == 0 and "Traceback" not in good.err
     assert names(good.folder) == OUTPUTS
     starts = [line.split()[0] for line in good.out.splitlines()]
-    assert (
-        starts[:5] == ["camera", "frames", "keyframes", "loops", "ATE"] and starts[-1] == "report"
-    )
+    assert starts[:6] == ["camera", "frames", "keyframes", "recognizer", "loops", "ATE"]
+    assert starts[-1] == "report"
     assert good.frames.split(maxsplit=1)[1] == "60 of 60 tracked"
     assert str(good.folder / "report.html") in good.out
     summary = json.loads((good.folder / "summary.json").read_text())
@@ -211,7 +216,7 @@ def test_a_misspelt_short_name(run_slam):
 
 def test_a_folder_that_is_no_recording(run_slam, tmp_path):
     (tmp_path / "photos").mkdir()
-    assert "not a TUM RGB-D sequence" in run_slam(tmp_path / "photos").complaint
+    assert "no recording in a known format" in run_slam(tmp_path / "photos").complaint
 
 
 @pytest.mark.parametrize(
@@ -428,6 +433,58 @@ def test_a_recognizer_that_fails_at_once_leaves_nothing(run_slam, recording, rec
     ran = run_slam(recording, "--recognizer", recognizer("return None", good=0))
     assert "shape ()" in ran.complaint
     assert names(ran.folder) == []
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """Write a small network that was never trained."""
+    path = tmp_path / "places.safetensors"
+    network = PlaceNetwork(TRUNKS["mobilenet_v2"], 4, block="stem", grid=(2, 2), size_px=(48, 36))
+    save_weights(network, path, 0.25)
+    return path
+
+
+def certificate_for(weights, **changes):
+    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
+    known |= {"resampled": "places", "data": "some rooms", **dict.fromkeys(ranges, (0.0, 0.5))}
+    known |= {"recognizer": weights.name, "fingerprint": LearnedRecognizer(weights).fingerprint}
+    return Certificate.model_validate(known | changes)
+
+
+def test_weights_are_used_with_what_they_were_calibrated_on(run_slam, short_recording, weights):
+    command = (short_recording(4), "--recognizer", weights, *QUICK)
+    assert "verifies from similarity 0.250, without a certificate\n" in run_slam(*command).out
+    keep_calibration(weights, certificate_for(weights))
+    ran = run_slam(*command)
+    assert "verifies from similarity 0.500, calibrated on some rooms (" in ran.out
+    summary = json.loads((ran.folder / "summary.json").read_text())
+    assert summary["certificate"]["recognizer"] == "places.safetensors"
+    assert "some rooms" in (ran.folder / "report.html").read_text()
+
+
+def test_places_unlike_those_calibrated_on_are_warned_of(
+    run_slam, short_recording, weights, monkeypatch
+):
+    monkeypatch.setattr(certificate, "FEW_PAIRS", 1)
+    keep_calibration(weights, certificate_for(weights, same_place=(-1.0, -0.5)))
+    ran = run_slam(short_recording(34), "--recognizer", weights, *QUICK)
+    (warning,) = ran.warnings
+    assert "similarities" in warning and "calibrated on some rooms" in warning
+    assert html.escape(warning) in (ran.folder / "report.html").read_text()
+
+
+def test_a_certificate_of_other_weights_is_refused(run_slam, short_recording, weights):
+    keep_calibration(weights, certificate_for(weights, fingerprint="sha256:0"))
+    complaint = run_slam(short_recording(4), "--recognizer", weights).complaint
+    assert complaint.startswith("the certificate is of other weights than places.safetensors; ")
+
+
+@pytest.mark.parametrize("content", [b"", b"cos\nsystem\n(S'true'\ntR.", None])
+def test_weights_that_cannot_be_used(run_slam, short_recording, weights, content):
+    weights.write_bytes(weights.read_bytes()[:-100] if content is None else content)
+    complaint = run_slam(short_recording(4), "--recognizer", weights).complaint
+    assert complaint.startswith("the weights are not a whole safetensors file (")
 
 
 # Interruptions

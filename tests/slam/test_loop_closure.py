@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placerec.certificate import Certificate
 from placerec.recognizer import RecognizerError
 from slam import se3
 from slam.config import LoopConfig, VerificationConfig
@@ -223,3 +224,57 @@ def test_a_threshold_that_is_no_cosine_is_refused_at_once(threshold):
     recognizer.min_similarity = threshold
     with pytest.raises(RecognizerError, match="min_similarity"):
         closer(recognizer)
+
+
+class Certified(Scripted):
+    """Says that all but the opposite direction was met before."""
+
+    fingerprint = "sha256:0"
+
+    def __init__(self, fingerprint="sha256:0"):
+        super().__init__()
+        known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+        pairs = ("threshold_interval", "recall_interval", "different_places", "same_place")
+        known |= dict.fromkeys(pairs, (0.0, 1.0))
+        known |= {"resampled": "places", "recognizer": "certified", "data": "a room"}
+        self.certificate = Certificate.model_validate(known | {"fingerprint": fingerprint})
+
+
+def test_a_certificate_is_put_beside_the_pairs_that_could_be_loops(views):
+    recognizer = Certified()
+    loop_closer = closer(recognizer, camera=views.camera, min_gap_s=3.0)
+    run(loop_closer, views, [0, 10, 20, 30, 40])
+    new = keyframe(5, views.reference, 50.0)
+    loop_closer.close(new, direction(50), linked_ids=[4, 1])  # so 0 is the only one left
+    calibration = loop_closer.calibration()
+    assert calibration.certificate is recognizer.certificate
+    angles_deg = [30 - 0, 40 - 0, 40 - 10, 50 - 0]
+    np.testing.assert_allclose(
+        calibration.live_similarities, np.cos(np.radians(angles_deg)), atol=1e-6
+    )
+    assert calibration.warnings == ()
+
+
+def test_places_unlike_those_calibrated_on_are_warned_of(views):
+    loop_closer = closer(Certified(), camera=views.camera)
+    run(loop_closer, views, [0] * 10 + [180] * 10)
+    (warning,) = loop_closer.calibration().warnings
+    assert "of the 153 similarities lie outside 0.000 to 1.000" in warning
+    assert "calibrated on a room" in warning
+
+
+def test_without_a_certificate_nothing_is_said(views):
+    loop_closer = closer(camera=views.camera)
+    run(loop_closer, views, [0] * 4)
+    assert loop_closer.calibration() is None
+
+
+def test_a_certificate_without_any_pair_to_compare_is_told_all_the_same(views):
+    loop_closer = closer(Certified(), camera=views.camera)
+    run(loop_closer, views, [0])
+    assert len(loop_closer.calibration().live_similarities) == 0
+
+
+def test_a_certificate_of_another_version_is_refused_at_once():
+    with pytest.raises(RecognizerError, match="the certificate of another version"):
+        closer(Certified("sha256:1"))

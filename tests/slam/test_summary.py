@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from placerec.certificate import Certificate
+from slam.calibration import Calibration
 from slam.drift import DriftReport, LoopTruth, TrajectoryError
 from slam.summary import summarise
 from slam.types import (
@@ -92,6 +95,20 @@ def test_without_truth_or_frames_the_same_keys_are_unknown():
     for name in ("ate_before_m", "ate_after_m", "loops_false", "alignment", "frames_per_second"):
         assert summary[name] is None
     assert summary["stage_ms_per_frame"] == {}
+
+
+def test_certificate_is_told_without_its_curve():
+    assert summarise(result(), None)["certificate"] is None
+    assert summarise(result(), None)["min_similarity"] == 0.5
+    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+    known |= {"recognizer": "w", "fingerprint": "sha256:0", "data": "floors", "pairs": 120}
+    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
+    known |= {"resampled": "images", **dict.fromkeys(ranges, (0.25, 0.75))}
+    calibration = Calibration(Certificate.model_validate(known), np.empty(0, np.float32))
+    told = summarise(replace(result(), calibration=calibration), None)["certificate"]
+    assert set(told) == set(Certificate.model_fields) - {"curve"}
+    assert (told["data"], told["pairs"], told["fingerprint"]) == ("floors", 120, "sha256:0")
+    assert told["threshold_interval"] == [0.25, 0.75]
 
 
 def test_the_summary_is_plain_json():

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from placerec.certificate import Certificate
+from slam.calibration import Calibration
 from slam.drift import DriftReport, LoopTruth, TrajectoryError
 from slam.summary_table import summary_table
 from slam.types import (
@@ -59,6 +61,7 @@ def test_the_whole_run_in_a_few_lines(result):
         "camera     640x480, fx 525, fy 525 px, 5000 depth units per metre",
         "frames     8 of 10 tracked",
         "keyframes  0",
+        "recognizer verifies from similarity 0.500, without a certificate",
         "loops      2 accepted of 4 candidates, 1 outvoted by the graph; 1 of 2 checked are false",
         "ATE        0.0500 m -> 0.0200 m corrected",
         "           RMSE over 75.0% of the tracked frames (truth within 20 ms, it covers 90.5%)",
@@ -67,6 +70,20 @@ def test_the_whole_run_in_a_few_lines(result):
         "pipeline   20.0 frames/s",
         f"report     {Path('runs/desk/report.html')}",
     ]
+
+
+def test_a_certificate_is_told_in_one_line(result):
+    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+    known |= {"recognizer": "w", "fingerprint": "sha256:0", "data": "floors", "pairs": 120}
+    known |= {"different_places": (0, 0.5), "same_place": (0, 1), "recall_interval": (0, 1)}
+    known |= {"threshold": 0.75, "threshold_interval": (0.625, 0.8), "resampled": "images"}
+    certificate = Certificate.model_validate(known)
+    certified = replace(result, calibration=Calibration(certificate, np.empty(0, np.float32)))
+    (line,) = [line for line in lines(certified, None) if line.startswith("recognizer")]
+    assert line == (
+        "recognizer verifies from similarity 0.500, calibrated on floors"
+        " (120 pairs; tau 0.750, 0.625 to 0.800)"
+    )
 
 
 def test_without_truth_there_is_no_error_and_no_verdict(result):

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from placerec import certificate
+from placerec.calibration import calibrate
+from placerec.datasets import PlaceDataset
 from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
 from slam import se3, system
@@ -23,6 +27,21 @@ def run(frames, config=None, recognizer=None):
     for frame in frames:
         slam.process(frame)
     return slam.finish()
+
+
+@pytest.fixture
+def two_places():
+    """Return a dataset of two images each of two places that look nothing alike."""
+    everyone, places = np.arange(4), np.array([0, 0, 1, 1])
+    dataset = PlaceDataset(
+        name="two places",
+        paths=tuple(Path(f"{i}.png") for i in everyone),
+        queries=everyone,
+        references=everyone,
+        same_place=places[:, None] == places,
+        comparable=~np.eye(4, dtype=bool),
+    )
+    return dataset, np.eye(2, dtype=np.float32)[places]
 
 
 def black(frame):
@@ -344,6 +363,28 @@ def test_what_was_found_before_a_recognizer_failed_is_kept(frames):
     assert result.T_world_kf.shape == (4, 4, 4)
     assert len(result.trajectory) == len(result.odometry) > 4
     assert result.trajectory.timestamps_s[-1] >= result.keyframes[-1].timestamp_s
+
+
+class Certified(GradientRecognizer):
+    """The same, but calibrated in a world where no two places look alike."""
+
+    def __init__(self, dataset, embeddings):
+        self.certificate = calibrate("certified", self, dataset, embeddings)
+
+
+def test_a_run_says_what_its_recognizer_was_calibrated_on_and_doubts_it(
+    frames, result, monkeypatch, two_places
+):
+    monkeypatch.setattr(certificate, "FEW_PAIRS", 1)
+    recognizer = Certified(*two_places)
+    certified = run(frames, recognizer=recognizer)
+    assert certified.calibration.certificate is recognizer.certificate
+    live = certified.calibration.live_similarities
+    assert len(live) and np.isin(live, certified.similarities).all()
+    assert result.calibration is None
+    (warning,) = set(certified.warnings) - set(result.warnings)
+    assert "calibrated on two places" in warning
+    np.testing.assert_array_equal(certified.T_world_kf, result.T_world_kf)
 
 
 def test_frames_are_corrected_with_their_keyframe(frames):

@@ -6,7 +6,7 @@ import pytest
 
 from slam.config import InputConfig
 from slam.datasets import read_camera, write_camera
-from slam.datasets.cameras import FREIBURG, choose_camera
+from slam.datasets.cameras import FREIBURG, freiburg_camera, named_camera, rescaled
 from slam.types import Camera, SlamError
 
 GOOD = {
@@ -85,24 +85,25 @@ def test_a_missing_camera_file_is_one_line(tmp_path: Path) -> None:
     ],
 )
 def test_the_folder_name_says_which_freiburg_camera(tmp_path: Path, name: str, number: str) -> None:
-    assert choose_camera(tmp_path / name, InputConfig()) == FREIBURG[number]
+    assert freiburg_camera(tmp_path / name) == FREIBURG[number]
 
 
 @pytest.mark.parametrize("name", ["kitchen", "fr4_desk", "fr12", "afr1"])
 def test_an_unknown_camera_says_how_to_write_one(tmp_path: Path, name: str) -> None:
     with pytest.raises(SlamError, match=r"--input\.camera") as caught:
-        choose_camera(tmp_path / name, InputConfig())
+        freiburg_camera(tmp_path / name)
     assert all(key in str(caught.value) for key in (*GOOD, "distortion", "camera.toml"))
 
 
-def test_the_users_file_goes_before_the_folders_and_that_before_the_name(tmp_path: Path) -> None:
-    folder = tmp_path / "fr1_own"
-    folder.mkdir()
-    write(folder / "camera.toml", fx="400")
-    assert choose_camera(folder, InputConfig()).fx == 400.0
-    own = write(tmp_path / "own.toml", fx="300")
-    assert choose_camera(folder, InputConfig(camera=own)).fx == 300.0
+def test_the_users_file_goes_before_the_folders(tmp_path: Path) -> None:
+    assert named_camera(tmp_path, InputConfig()) is None
+    write(tmp_path / "camera.toml", fx="400")
+    in_folder = named_camera(tmp_path, InputConfig())
+    users = named_camera(tmp_path, InputConfig(camera=write(tmp_path / "own.toml", fx="300")))
+    assert in_folder is not None and users is not None
+    assert (in_folder.fx, users.fx) == (400.0, 300.0)
 
 
-def test_a_given_depth_scale_overrides_the_cameras(tmp_path: Path) -> None:
-    assert choose_camera(tmp_path / "fr1", InputConfig(depth_scale=1000.0)).depth_scale == 1000.0
+def test_a_given_depth_scale_overrides_the_cameras() -> None:
+    assert rescaled(FREIBURG["1"], InputConfig()) == FREIBURG["1"]
+    assert rescaled(FREIBURG["1"], InputConfig(depth_scale=1000.0)).depth_scale == 1000.0

@@ -37,11 +37,11 @@ def test_grey_becomes_three_channels(tmp_path: Path) -> None:
 
 def test_depth_is_metres_with_zero_for_unknown(tmp_path: Path) -> None:
     path = tmp_path / "depth.png"
-    path.write_bytes(encoded(".png", np.array([[0, 5000, 65535]], np.uint16)))
+    path.write_bytes(encoded(".png", np.array([[0, 5000, 65534, 65535]], np.uint16)))
     depth_m = read_depth(path, 5000.0)
     assert not isinstance(depth_m, BrokenImage)
     assert depth_m.dtype == np.float32
-    np.testing.assert_allclose(depth_m, [[0.0, 1.0, 13.107]])
+    np.testing.assert_allclose(depth_m, [[0.0, 1.0, 13.1068, 0.0]])
 
 
 @pytest.mark.parametrize(

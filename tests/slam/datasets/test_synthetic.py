@@ -5,8 +5,8 @@ import pytest
 
 from slam import se3
 from slam.config import FeaturesConfig, InputConfig, VerificationConfig
+from slam.datasets import open_sequence
 from slam.datasets.synthetic import render_sequence
-from slam.datasets.tum import open_sequence
 from slam.features import FeatureExtractor
 from slam.relative_pose import estimate_relative_pose
 from slam.types import Camera, RelativePose, SlamError

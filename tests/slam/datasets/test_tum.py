@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import errno
 import os
 import re
 from collections.abc import Callable
@@ -52,42 +51,6 @@ def test_a_relative_path_has_its_folders_name(
 ) -> None:
     monkeypatch.chdir(make_folder())
     assert open_sequence(Path(), CONFIG).name == "tiny"
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    assert "fr1_desk" in fails(tmp_path / "none", "no such folder")
-
-
-def test_a_folder_that_may_not_be_read_is_one_line(
-    make_folder: MakeFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def forbidden(path: Path) -> bool:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    monkeypatch.setattr(Path, "is_file", forbidden)
-    fails(make_folder(), "cannot look into the folder: Permission denied")
-
-
-def test_a_file_is_not_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "a.tgz").write_text("")
-    fails(tmp_path / "a.tgz", "found a file")
-
-
-def test_another_kind_of_folder_says_what_was_found(tmp_path: Path) -> None:
-    fails(tmp_path, "rgb.txt and depth.txt not found, only nothing")
-    for name in "abcdefg":
-        (tmp_path / name).write_text("")
-    fails(tmp_path, "only a, b, c, d, e, ...")
-
-
-def test_the_folder_above_a_sequence_points_to_it(make_folder: MakeFolder) -> None:
-    fails(make_folder().parent, "did you mean its folder tiny?")
-
-
-def test_colour_without_depth_is_no_sequence(make_folder: MakeFolder) -> None:
-    folder = make_folder()
-    (folder / "depth.txt").unlink()
-    fails(folder, "depth.txt not found")
 
 
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from placerec.certificate import Certificate
+from slam.calibration import Calibration
 from slam.drift import DriftReport, LoopTruth, TrajectoryError
 from slam.types import (
     Camera,
@@ -129,6 +131,34 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
     return Run(result, drift, Trajectory(times, true_poses))
 
 
+def make_calibration(result: SlamResult) -> Calibration:
+    """Return a made-up certificate, beside the similarities of all pairs of keyframes."""
+    certificate = Certificate(
+        recognizer="tower.safetensors",
+        fingerprint=f"sha256:{'0123456789abcdef' * 4}",
+        data="ie_tower:validation",
+        images=288,
+        skipped=3,
+        pairs=26127,
+        same_place_pairs=540,
+        threshold=0.87,
+        highest_wrong=0.86,
+        recall=0.12,
+        threshold_interval=(0.62, 0.89),
+        recall_interval=(0.05, 0.16),
+        resampled="places",
+        resamples=1000,
+        without_threshold=7,
+        seed=0,
+        different_places=(-0.24, 0.75),
+        same_place=(0.3, 0.95),
+        recall_to_verify=0.37,
+        curve=((0.87, 1.0, 0.12), (0.3, 0.5, 1.0)),
+    )
+    rows, columns = np.triu_indices(len(result.keyframes), k=5)
+    return Calibration(certificate, result.similarities[rows, columns])
+
+
 @pytest.fixture(scope="session")
 def run() -> Run:
     return make_run()
@@ -137,6 +167,12 @@ def run() -> Run:
 @pytest.fixture(scope="session")
 def make() -> Callable[..., Run]:
     return make_run
+
+
+@pytest.fixture(scope="session")
+def certified(run: Run) -> Run:
+    """Return the run as with a recognizer that has a certificate."""
+    return run._replace(result=replace(run.result, calibration=make_calibration(run.result)))
 
 
 @pytest.fixture

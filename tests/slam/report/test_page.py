@@ -16,7 +16,10 @@ from slam.report import write_report
 from slam.report.page import render
 from slam.types import RejectionReason, RelativePose, SlamResult, Trajectory
 
-SECTIONS = ("drift", "path", "loops", "places", "gallery", "decisions", "time", "settings")
+SECTIONS = (
+    *("drift", "path", "loops", "recognizer", "places"),
+    *("gallery", "decisions", "time", "settings"),
+)
 VOID = {"meta", "link", "img", "br", "path", "use", "rect", "image", "line", "circle", "stop"}
 
 
@@ -61,6 +64,11 @@ def page_of(result: SlamResult, drift: object = None, title: str = "a run", **mo
 @pytest.fixture(scope="module")
 def text(run) -> str:
     return render(run.result, run.drift, "[loop]\ncandidates = 4\n", "fr1_desk", run.truth)
+
+
+@pytest.fixture(scope="module")
+def certified_text(certified) -> str:
+    return render(certified.result, certified.drift, "", "certified", certified.truth)
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +171,50 @@ def test_no_frame_tracked_but_the_first(altered, make: Callable) -> None:
     assert "1 of 1" in page_of(result).text
 
 
+def test_what_the_recognizer_was_calibrated_on(certified_text: str) -> None:
+    page = Page(certified_text)
+    for words in (
+        "ie_tower:validation: 288 images, 3 more could not be read",
+        "26127, of which 540 show one place",
+        "from 0.750: 1 % of the pairs of different places are so alike, and 37.0 % of those",
+        "from 0.870, 95 % interval 0.620 to 0.890; it recognises 12.0 % of the pairs of one",
+        "(5.0 % to 16.0 %)",
+        "1000 draws of places; in 7 of them every threshold",
+        f"sha256:{'0123456789abcdef' * 4}",
+    ):
+        assert words in page.text
+    assert "this run verified from" not in page.text
+    assert "tau 0.870" in certified_text and "verified from 0.750" in certified_text
+    assert len(page.all("svg")) == 7
+
+
+def test_live_similarities_stand_beside_the_calibrated_range(certified) -> None:
+    live = np.array([-0.5, 0.0, 0.8, 0.99, 0.74], np.float32)
+    calibration = replace(certified.result.calibration, live_similarities=live)
+    page = page_of(replace(certified.result, calibration=calibration))
+    told = (
+        "of 5 pairs that could be loops, 40.0 % reach 0.750 and 40.0 % lie outside -0.240 to 0.950"
+    )
+    assert told in page.text
+
+
+def test_a_run_that_verified_from_another_similarity_says_so(certified) -> None:
+    page = page_of(replace(certified.result, min_similarity=0.5))
+    assert "this run verified from 0.500" in page.text
+
+
+def test_a_certificate_without_any_pair_to_compare_has_a_page(certified) -> None:
+    nothing = np.empty(0, np.float32)
+    calibration = replace(certified.result.calibration, live_similarities=nothing)
+    page = page_of(replace(certified.result, calibration=calibration))
+    assert "of 0 pairs that could be loops, – % reach 0.750" in page.text
+
+
+def test_without_a_certificate_one_line_says_so(page: Page) -> None:
+    assert "This recognizer has no certificate: nothing is known of the data on" in page.text
+    assert "Worth verifying" not in page.text
+
+
 def test_every_reason_can_be_filtered(page: Page) -> None:
     kinds = {attributes.get("data-kind") for attributes in page.all("button")}
     shown = {attributes["data-kind"] for attributes in page.all("article")}
@@ -179,12 +231,13 @@ def test_the_file_is_replaced_as_a_whole(run, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
-def test_a_browser_has_nothing_to_complain_about(text: str, tmp_path: Path) -> None:
+def test_a_browser_has_nothing_to_complain_about(certified_text: str, tmp_path: Path) -> None:
     script = """<script>
         for (const one of document.querySelectorAll("button, summary")) one.click();
         document.title = `width ${document.documentElement.scrollWidth}`;
     </script>"""
-    (tmp_path / "report.html").write_text(text.replace("</body>", script + "</body>"))
+    page = certified_text.replace("</body>", script + "</body>")
+    (tmp_path / "report.html").write_text(page)
     command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
     command += ["--window-size=500,900", "--hide-scrollbars"]
     command += ["--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}"]

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures as in the paper: data in, matplotlib figures out; `svg` and `png` make files of them."""
+
+from placerec.figures.bars import bars
+from placerec.figures.canvas import png, svg
+from placerec.figures.curves import dimension_comparison, precision_recall
+from placerec.figures.matrices import distance_map, heat_maps, truth_map
+from placerec.figures.path import recognised_places
+
+__all__ = [
+    "bars",
+    "dimension_comparison",
+    "distance_map",
+    "heat_maps",
+    "png",
+    "precision_recall",
+    "recognised_places",
+    "svg",
+    "truth_map",
+]

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which format a folder is in, told by what it holds."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam.config import InputConfig
+from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
+from slam.datasets.open3d_folder import open_open3d
+from slam.datasets.realsense import open_realsense
+from slam.datasets.scannet import open_scannet
+from slam.datasets.sequence import Sequence
+from slam.datasets.seven_scenes import open_seven_scenes
+from slam.datasets.tum import open_tum
+from slam.types import SlamError
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way of laying out a recording.
+
+    Attributes:
+        name: for people.
+        needs: what a folder must hold, as glob patterns; one of those that `|` separates will do.
+        open: reads such a folder.
+    """
+
+    name: str
+    needs: tuple[str, ...]
+    open: Callable[[Path, InputConfig], Sequence]
+
+    def missing(self, folder: Path) -> tuple[str, ...]:
+        """Return those of the needs that the folder does not meet."""
+        return tuple(
+            need
+            for need in self.needs
+            if not any(any(folder.glob(pattern)) for pattern in need.split("|"))
+        )
+
+
+_COLOR, _INTRINSICS = "color/|rgb/|image/", "camera_intrinsic.json|intrinsic.json|camera.toml"
+
+# In the order of asking: what asks for more comes before what it would also fit.
+FORMATS = (
+    Format("TUM RGB-D", ("rgb.txt", "depth.txt"), open_tum),
+    Format("ICL-NUIM", ("associations.txt", "*.gt.freiburg"), open_icl_nuim),
+    Format("ICL-NUIM as rendered", ("scene_*.png", "scene_*.depth"), open_icl_nuim_original),
+    Format("7-Scenes", ("frame-*.color.png", "frame-*.depth.png"), open_seven_scenes),
+    Format("ScanNet", ("color/", "depth/", "intrinsic/intrinsic_color.txt"), open_scannet),
+    Format(
+        "RealSense",
+        (_COLOR, "depth/", "timestamps.csv|timestamps.txt", "intrinsics.json"),
+        open_realsense,
+    ),
+    Format("Open3D or Redwood", (_COLOR, "depth/", _INTRINSICS), open_open3d),
+)
+
+
+def open_sequence(path: Path, config: InputConfig) -> Sequence:
+    """Open a recording in any known format.
+
+    Raises:
+        SlamError: there is no such folder, it fits no format, or what it holds cannot be used.
+    """
+    if not path.exists():
+        raise SlamError(
+            "there is no such folder; give the folder of a recording, or a short name of the TUM"
+            f" RGB-D benchmark such as fr1_desk: {path}"
+        )
+    if not path.is_dir():
+        raise SlamError(f"expected the folder of a recording, found a file: {path}")
+    try:
+        found = find_format(path)
+        if found is None:
+            raise SlamError(_not_recognised(path))
+        return found.open(path, config)
+    except OSError as error:
+        raise SlamError(f"cannot look into the folder: {error.strerror}: {path}") from error
+
+
+def find_format(folder: Path) -> Format | None:
+    """Return the format that a folder is in, or None."""
+    return next((each for each in FORMATS if not each.missing(folder)), None)
+
+
+def _not_recognised(path: Path) -> str:
+    entries = sorted(path.iterdir())
+    seen = ", ".join(entry.name for entry in entries[:5]) + (", ..." if len(entries) > 5 else "")
+    inner = next((entry for entry in entries if entry.is_dir() and find_format(entry)), None)
+    lacks = [(each, each.missing(path)) for each in FORMATS]
+    nearly = [f"{each.name} with {_said(lack)}" for each, lack in lacks if len(lack) == 1]
+    hint = ""
+    if inner:
+        hint = f"; did you mean its folder {inner.name}?"
+    elif nearly:
+        hint = f"; it would be {', '.join(nearly)}"
+    formats = "; ".join(f"{each.name}: {_said(each.needs)}" for each in FORMATS)
+    return (
+        f"no recording in a known format, the folder holds {seen or 'nothing'}{hint} ({formats}):"
+        f" {path}"
+    )
+
+
+def _said(needs: tuple[str, ...]) -> str:
+    return ", ".join(need.replace("|", " or ") for need in needs)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Microsoft 7-Scenes, Kinect recordings with poses by KinectFusion: frame-000000.color.png ...
+
+J. Shotton, B. Glocker, C. Zach, S. Izadi, A. Criminisi and A. Fitzgibbon, "Scene Coordinate
+Regression Forests for Camera Relocalization in RGB-D Images", CVPR 2013. The images are as the
+sensors gave them, colour and depth not registered; the poses are the depth camera's, found with a
+focal length of 585 pixels. The rest of the calibration was never published. What is usual in its
+place: a colour camera of 525 pixels, and the motion between the two cameras that was measured on
+another Kinect (LIRIS, https://projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html).
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from slam import se3
+from slam.config import InputConfig
+from slam.datasets.cameras import named_camera, rescaled
+from slam.datasets.numbered_images import FRAMES_PER_S, numbered_images
+from slam.datasets.registration import Registration
+from slam.datasets.sequence import ImagePair, Sequence
+from slam.datasets.true_poses import read_pose_files
+from slam.types import Camera
+
+_NAME = re.compile(r"frame-(\d+)\.color\.png")
+_T_COLOR_DEPTH = np.array(
+    [
+        [0.99996518, 0.00267651, -0.00790410, -0.02555894],
+        [-0.00274093, 0.99996303, -0.00815045, 0.00010110],
+        [0.00788199, 0.00817183, 0.99993554, 0.00203183],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+KINECT = Registration(
+    color_camera=Camera(640, 480, 525.0, 525.0, 320.0, 240.0, depth_scale=1000.0),
+    depth_camera=Camera(640, 480, 585.0, 585.0, 320.0, 240.0, depth_scale=1000.0),
+    T_color_depth=_T_COLOR_DEPTH,
+)
+
+
+def open_seven_scenes(path: Path, config: InputConfig) -> Sequence:
+    """Open a folder of frame-*.color.png, .depth.png (mm, 65535 unknown) and .pose.txt, at 30 Hz.
+
+    Where a camera is named, colour and depth are taken to be registered to it.
+
+    Raises:
+        SlamError: a pose, the camera or most images are not usable.
+    """
+    warnings: list[str] = []
+    named = named_camera(path, config)
+    registration = None if named else KINECT
+    images = [
+        ImagePair(number / FRAMES_PER_S, color, _beside(color, "depth.png"))
+        for number, color in numbered_images(path, _NAME).items()
+    ]
+    poses = [(pair.timestamp_s, _beside(pair.color_path, "pose.txt")) for pair in images]
+    truth = read_pose_files(poses, warnings)
+    if truth and registration:
+        T_depth_color = se3.inverse(registration.T_color_depth)
+        truth = replace(truth, T_world_cam=truth.T_world_cam @ T_depth_color)
+    return Sequence(
+        path.resolve().name,
+        rescaled(named or KINECT.camera, config),
+        images,
+        ground_truth=truth,
+        warnings=tuple(warnings),
+        registration=registration,
+    )
+
+
+def _beside(color: Path, kind: str) -> Path:
+    return color.with_name(color.name.replace("color.png", kind))

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""True camera poses, in the ways that recordings write them down."""
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from slam import se3
+from slam.datasets.tables import as_numbers, in_order, read_lines
+from slam.types import FloatArray, SlamError, Trajectory
+
+_SEPARATOR = re.compile(r"[\s,]+")
+_MIN_QUATERNION_NORM = 1e-6
+_MAX_SKEW = 1e-2  # files with few digits are no exact rotations; a scale or a shear is none at all
+
+
+def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
+    """Read a pose per line, `timestamp tx ty tz qx qy qz qw`, or None where there is no line.
+
+    Raises:
+        SlamError: a line is no pose in finite numbers.
+    """
+    rows: list[list[float]] = []
+    for number, line in read_lines(file):
+        values = as_numbers(_SEPARATOR.split(line))
+        if values is None or len(values) != 8:
+            raise SlamError(
+                f'line {number} is not "timestamp tx ty tz qx qy qz qw" in finite numbers:'
+                f" {line!r}: {file}"
+            )
+        if np.linalg.norm(values[4:]) < _MIN_QUATERNION_NORM:
+            raise SlamError(f"line {number} has a quaternion of length zero: {line!r}: {file}")
+        rows.append(values)
+    if not rows:
+        warnings.append(f"{file.name} holds no pose, so there is no ground truth")
+        return None
+    table = np.array(rows)
+    table = table[in_order(table[:, 0], file, warnings)]
+    T_world_cam = np.tile(np.eye(4), (len(table), 1, 1))
+    T_world_cam[:, :3, :3] = se3.from_quaternion(table[:, 4:])
+    T_world_cam[:, :3, 3] = table[:, 1:4]
+    return Trajectory(table[:, 0], T_world_cam)
+
+
+def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) -> Trajectory | None:
+    """Read a (4, 4) matrix per file, given with its time, or None where no frame has a pose.
+
+    A file that is missing, or holds -inf, means that the pose is not known.
+
+    Raises:
+        SlamError: a file holds something else than a rigid pose.
+    """
+    stamps_s: list[float] = []
+    T_world_cam: list[FloatArray] = []
+    unknown = 0
+    for timestamp_s, file in files:
+        T = read_matrix(file) if file.is_file() else None
+        if T is None or np.isneginf(T).any():
+            unknown += 1
+            continue
+        stamps_s.append(timestamp_s)
+        T_world_cam.append(rigid(T, "the pose", file))
+    if unknown:
+        total = unknown + len(stamps_s)
+        warnings.append(f"{unknown} of {total} frames have no true pose (no file, or -inf in it)")
+    return Trajectory(np.array(stamps_s), np.array(T_world_cam)) if stamps_s else None
+
+
+def read_pose_log(file: Path) -> list[tuple[int, FloatArray]]:
+    """Read (frame number, T_world_cam) from a .log: a line `i j k`, then a (4, 4) matrix each.
+
+    Raises:
+        SlamError: a block is not complete, or is no rigid pose.
+    """
+    poses = []
+    lines = read_lines(file)
+    for number, line in lines:
+        head = as_numbers(line.split())
+        if head is None or len(head) != 3 or head[0] != int(head[0]):
+            raise SlamError(f'line {number} is not "i j k", whole numbers: {line!r}: {file}')
+        T = _next_matrix(lines, number, file)
+        poses.append((int(head[0]), rigid(T, f"the pose after line {number}", file)))
+    return poses
+
+
+def _next_matrix(lines: Iterator[tuple[int, str]], after: int, file: Path) -> FloatArray:
+    rows = [as_numbers(line.split()) for _, (_, line) in zip(range(4), lines, strict=False)]
+    if len(rows) != 4 or any(row is None or len(row) != 4 for row in rows):
+        raise SlamError(
+            f"after line {after} there are not four rows of four finite numbers, a pose: {file}"
+        )
+    return np.array(rows, dtype=np.float64)
+
+
+def read_matrix(file: Path) -> FloatArray:
+    """Read a text file that holds a (4, 4) matrix and nothing else; infinite values come as such.
+
+    Raises:
+        SlamError: it holds something else.
+    """
+    text = " ".join(line for _, line in read_lines(file))
+    try:
+        values = [float(field) for field in _SEPARATOR.split(text)]
+    except ValueError:
+        values = []
+    if len(values) != 16:
+        raise SlamError(f"the file does not hold a matrix of 4 x 4 numbers: {file}")
+    return np.array(values).reshape(4, 4)
+
+
+def rigid(T_a_b: FloatArray, what: str, file: Path) -> FloatArray:
+    """Return the (4, 4) matrix as an exact rigid transform, free of the rounding in its file.
+
+    Raises:
+        SlamError: it is none; the message says `what` it was to be.
+    """
+    if not np.isfinite(T_a_b).all():
+        raise SlamError(f"{what} holds a number that is not finite: {file}")
+    R = T_a_b[:3, :3]
+    skew = np.abs(R @ R.T - np.eye(3)).max()
+    is_affine = np.allclose(T_a_b[3], [0.0, 0.0, 0.0, 1.0], atol=1e-6)
+    if skew > _MAX_SKEW or np.linalg.det(R) < 0.0 or not is_affine:
+        raise SlamError(
+            f"{what} is no rotation and translation (R R' is off the identity by {skew:.2g},"
+            f" det R = {np.linalg.det(R):.2g}, last row {T_a_b[3].tolist()}): {file}"
+        )
+    U, _, Vt = np.linalg.svd(R)
+    return se3.from_rotation_translation(U @ Vt, T_a_b[:3, 3])

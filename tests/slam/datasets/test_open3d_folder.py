@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+import pytest
+
+from slam.config import InputConfig
+from slam.datasets import Sequence, open_sequence, write_camera
+from slam.types import Camera, SlamError
+
+Export = Callable[[str, Any], Path]
+
+
+@pytest.fixture
+def tiny(export: Export, tiny_walk: Any) -> Path:
+    return export("open3d", tiny_walk)
+
+
+def opened(folder: Path) -> Sequence:
+    return open_sequence(folder, InputConfig())
+
+
+def fails(folder: Path, said: str) -> str:
+    with pytest.raises(SlamError, match=re.escape(said)) as caught:
+        list(opened(folder))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_two_frames_see_the_same_surfaces_at_the_same_place(
+    export: Export, walk: Any, disagreement: Callable[..., Any]
+) -> None:
+    off_m = disagreement(opened(export("open3d", walk)), 0, 4)
+    assert len(off_m) > 30_000
+    assert np.median(np.abs(off_m)) < 0.004
+
+
+def test_what_open3d_writes_is_read(tiny: Path, tiny_walk: Any) -> None:
+    for name in ("camera_intrinsic.json", "trajectory.log"):
+        (tiny / name).unlink()
+    intrinsic = o3d.camera.PinholeCameraIntrinsic(32, 24, 30.0, 31.0, 15.5, 11.25)
+    o3d.io.write_pinhole_camera_intrinsic(str(tiny / "intrinsic.json"), intrinsic)
+    trajectory = o3d.camera.PinholeCameraTrajectory()
+    poses = []
+    for T_world_cam in tiny_walk.T_world_depth:
+        pose = o3d.camera.PinholeCameraParameters()
+        pose.intrinsic, pose.extrinsic = intrinsic, np.linalg.inv(T_world_cam)
+        poses.append(pose)
+    trajectory.parameters = poses
+    o3d.io.write_pinhole_camera_trajectory(str(tiny / "trajectory.log"), trajectory)
+    sequence = opened(tiny)
+    assert sequence.camera == Camera(32, 24, 30.0, 31.0, 15.5, 11.25, depth_scale=1000.0)
+    assert sequence.ground_truth is not None
+    np.testing.assert_allclose(sequence.ground_truth.T_world_cam, tiny_walk.T_world_depth)
+    np.testing.assert_allclose(sequence.ground_truth.timestamps_s, np.arange(6) / 30.0)
+
+
+@pytest.mark.parametrize("name", ["color", "rgb", "image"])
+def test_the_colour_folder_has_several_names(tiny: Path, name: str) -> None:
+    (tiny / "color").rename(tiny / name)
+    frames = list(opened(tiny))
+    assert [frame.rgb[0, 0, 0] for frame in frames] == list(range(6))
+    np.testing.assert_allclose(frames[2].depth_m, 1.2)
+
+
+def test_redwoods_names_tell_the_time(tiny: Path) -> None:
+    for i in range(6):
+        (tiny / f"color/{i:05d}.png").rename(tiny / f"color/{i + 1:07d}-{33369 * i:012d}.png")
+        (tiny / f"depth/{i:05d}.png").rename(tiny / f"depth/{i + 1:07d}-{33369 * i + 9:012d}.png")
+    sequence = opened(tiny)
+    np.testing.assert_allclose(sequence.timestamps_s, 0.033369 * np.arange(6))
+    assert len(list(sequence)) == 6
+    assert sequence.ground_truth is not None and len(sequence.ground_truth) == 6
+
+
+def test_times_that_do_not_increase_are_refused(tiny: Path) -> None:
+    (tiny / "color/00000.png").rename(tiny / "color/00000-000000050000.png")
+    assert fails(tiny, "do not increase").endswith("color")
+
+
+@pytest.mark.parametrize(
+    ("scale", "units_per_m"), [(1000.0, 1000.0), (0.001, 1000.0), (2000, 2000.0)]
+)
+def test_a_depth_scale_in_the_camera_file_is_units_per_metre_or_metres_per_unit(
+    tiny: Path, scale: float, units_per_m: float
+) -> None:
+    file = tiny / "camera_intrinsic.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "depth_scale": scale}))
+    assert opened(tiny).camera.depth_scale == pytest.approx(units_per_m)
+
+
+def test_a_camera_file_of_ours_goes_first(tiny: Path, tiny_walk: Any) -> None:
+    write_camera(tiny / "camera.toml", tiny_walk.camera_in(500.0))
+    assert opened(tiny).camera == tiny_walk.camera_in(500.0)
+    (tiny / "camera_intrinsic.json").unlink()
+    assert opened(tiny).camera == tiny_walk.camera_in(500.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"intrinsic_matrix": [1, 2, 3]}, "intrinsic_matrix does not have 9 numbers"),
+        ({"intrinsic_matrix": "none"}, "intrinsic_matrix does not have 9 numbers"),
+        ({"intrinsic_matrix": ["x"] * 9}, "camera key fx = 'x'"),
+        ({"width": 0}, "camera key width = 0"),
+        ({"width": None}, "camera key width = None"),
+        ({"depth_scale": -1.0}, "camera key depth_scale = -1.0"),
+        ({"width": 640, "height": 480}, "32x24 pixels but the camera 640x480"),
+    ],
+)
+def test_a_camera_file_that_is_wrong_is_named(
+    tiny: Path, change: dict[str, object], said: str
+) -> None:
+    file = tiny / "camera_intrinsic.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
+    fails(tiny, said)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2]", "3"])
+def test_a_camera_file_that_is_none_is_named(tiny: Path, text: str) -> None:
+    (tiny / "camera_intrinsic.json").write_text(text)
+    assert fails(tiny, "the camera file").endswith("camera_intrinsic.json")
+
+
+def test_a_key_that_is_missing_is_named(tiny: Path) -> None:
+    (tiny / "camera_intrinsic.json").write_text(json.dumps({"width": 32, "fx": 3.0}))
+    fails(tiny, "the camera key height is missing")
+
+
+def test_a_trajectory_without_a_file_is_no_truth(tiny: Path) -> None:
+    (tiny / "trajectory.log").unlink()
+    assert opened(tiny).ground_truth is None
+
+
+def test_poses_of_some_of_the_images_are_theirs_by_number(tiny: Path) -> None:
+    identity = "1 0 0 {} \n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    log = "".join(f"{i} {i} {i + 1}\n{identity.format(i)}" for i in (1, 2, 4))
+    (tiny / "trajectory.log").write_text(log)
+    truth = opened(tiny).ground_truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.timestamps_s, np.array([1, 2, 4]) / 30.0)
+    assert truth.T_world_cam[:, 0, 3].tolist() == [1, 2, 4]
+
+
+def test_numbers_do_not_matter_where_every_image_has_a_pose(tiny: Path) -> None:
+    log = (tiny / "trajectory.log").read_text()
+    (tiny / "trajectory.log").write_text(re.sub(r"(?m)^\d \d \d$", "0 0 1", log))
+    truth = opened(tiny).ground_truth
+    assert truth is not None
+    assert truth.T_world_cam[:, 0, 3].tolist() == list(range(6))
+
+
+@pytest.mark.parametrize("frames", [(0, 0, 1), (2, 1, 3), (4, 5, 6), (-1, 0, 1), ()])
+def test_poses_that_could_be_anyones_are_refused(tiny: Path, frames: tuple[int, ...]) -> None:
+    matrix = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    (tiny / "trajectory.log").write_text("".join(f"{i} {i} {i + 1}\n{matrix}" for i in frames))
+    said = fails(tiny, f"there are {len(frames)} poses for 6 images")
+    assert said.endswith("trajectory.log")
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["0 0"], 'line 1 is not "i j k"'),
+        (["zero 0 1"], 'line 1 is not "i j k"'),
+        (["0.5 0 1"], 'line 1 is not "i j k"'),
+        (["0 0 1", "1 0 0 0", "0 1 0 0", "0 0 1 0"], "after line 1 there are not four rows"),
+        (["0 0 1", "1 0 0 0", "0 1 0", "0 0 1 0", "0 0 0 1"], "after line 1"),
+        (["0 0 1", "1 0 0 0", "0 1 0 nan", "0 0 1 0", "0 0 0 1"], "finite numbers, a pose"),
+        (["0 0 1", "1 0 0 0", "0 1 0 0", "0 0 9 0", "0 0 0 1"], "after line 1 is no rotation"),
+    ],
+)
+def test_a_malformed_trajectory_is_named(tiny: Path, lines: list[str], said: str) -> None:
+    (tiny / "trajectory.log").write_text("\n".join(lines) + "\n")
+    assert fails(tiny, said).endswith("trajectory.log")
