@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from placerec.commands.data import RECOGNIZER, describe, image_bar, open_data
-from placerec.datasets import PlaceDataset
+from placerec.commands.data import RECOGNIZER, open_data, progress_bar
+from placerec.datasets import PlaceDataset, describe
 from placerec.evaluation import refuse_without_truth
 from placerec.evaluation_csv import evaluation_csv
 from placerec.evaluation_table import LEGEND, evaluation_table, notes
@@ -105,14 +105,20 @@ def _measure(
 ) -> Measurement:
     if isinstance(recognizer, RecognizerError):
         return Failed(dataset, name, str(recognizer))
-    with image_bar(name, dataset) as progress:
+    with progress_bar(f"{name} on {dataset.name}", len(dataset)) as progress:
         return measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
 
 
 def _write(rows: Sequence[Measurement], folder: Path) -> None:
+    # Loaded here, because drawing takes a second to load that the other commands do not need.
+    from placerec.report import render
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
     write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
-    print(f"written to {folder}")
+    with progress_bar("drawing", len(rows), "figure") as progress:
+        page = render(rows, progress)
+    write_atomically(folder / "index.html", page.encode())
+    print(f"written to {folder / 'index.html'} and results.csv")

@@ -34,7 +34,7 @@ def real_data() -> Callable[[str], Path]:
     return find
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def write_image() -> Callable[..., Path]:
     def write(path: Path, seed: int = 0, channels: int = 3) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -46,10 +46,11 @@ def write_image() -> Callable[..., Path]:
     return write
 
 
-@pytest.fixture
-def measured(tmp_path, write_image) -> Measured:
+@pytest.fixture(scope="session")
+def measured(tmp_path_factory, write_image) -> Measured:
     """Return a measurement on two drives of two images each, with figures that are easy to tell."""
-    paths = tuple(write_image(tmp_path / f"walk/{i}.png", seed=i) for i in range(4))
+    folder = tmp_path_factory.mktemp("walk")
+    paths = tuple(write_image(folder / f"{i}.png", seed=i) for i in range(4))
     truth = np.eye(2, dtype=np.bool_)
     dataset = PlaceDataset("walk", paths, np.arange(2), np.arange(2, 4), truth, np.ones_like(truth))
     curve = Curve(np.array([0.9, 0.1]), np.array([1.0, 0.5]), np.array([0.5, 1.0]))
