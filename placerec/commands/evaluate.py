@@ -60,12 +60,8 @@ def evaluate(
     """
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
-    loaded = _load_all(recognizers)
-    datasets = [open_data(source) for source in data]
-    for dataset in datasets:
-        refuse_without_truth(dataset)
     try:
-        rows = [row for dataset in datasets for row in _measure_all(dataset, loaded, cache)]
+        rows = _measure_all(data, recognizers or (ALL,), out, cache)
         print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
         print("".join(f"{note}\n" for note in notes(rows)), end="")
         _write(rows, out)
@@ -74,10 +70,28 @@ def evaluate(
     return SOMETHING_FAILED if any(isinstance(row, Failed) for row in rows) else 0
 
 
+def _measure_all(
+    sources: Sequence[str], names: Sequence[str], out: Path, use_cache: bool
+) -> list[Measurement]:
+    # All that may be wrong with what was asked is found before the long work.
+    loaded = _load_all(names)
+    datasets = [open_data(source) for source in sources]
+    for dataset in datasets:
+        refuse_without_truth(dataset)
+    _make_folder(out)
+    rows: list[Measurement] = []
+    for dataset in datasets:
+        for name, recognizer in loaded.items():
+            turn = f"{len(rows) + 1}/{len(datasets) * len(loaded)}"
+            rows.append(_measure(turn, name, recognizer, dataset, use_cache))
+        print(describe(dataset))
+    return rows
+
+
 def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerError]:
     """Return what was named, each once; of all that are installed, some may not be loadable."""
     loaded: dict[str, PlaceRecognizer | RecognizerError] = {}
-    for name in names or (ALL,):
+    for name in names:
         if name != ALL:
             loaded[name] = load(name)
             continue
@@ -89,15 +103,8 @@ def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerErr
     return loaded
 
 
-def _measure_all(
-    dataset: PlaceDataset, loaded: dict[str, PlaceRecognizer | RecognizerError], use_cache: bool
-) -> list[Measurement]:
-    rows = [_measure(name, found, dataset, use_cache) for name, found in loaded.items()]
-    print(describe(dataset))
-    return rows
-
-
 def _measure(
+    turn: str,
     name: str,
     recognizer: PlaceRecognizer | RecognizerError,
     dataset: PlaceDataset,
@@ -105,18 +112,21 @@ def _measure(
 ) -> Measurement:
     if isinstance(recognizer, RecognizerError):
         return Failed(dataset, name, str(recognizer))
-    with progress_bar(f"{name} on {dataset.name}", len(dataset)) as progress:
+    with progress_bar(f"{turn} {name} on {dataset.name}", len(dataset)) as progress:
         return measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
 
 
 def _write(rows: Sequence[Measurement], folder: Path) -> None:
     # Loaded here, because drawing takes a second to load that the other commands do not need.
     from placerec.report import render
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
     write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
     with progress_bar("drawing", len(rows), "figure") as progress:
         page = render(rows, progress)

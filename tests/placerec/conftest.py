@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -8,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec import embedding_cache
 from placerec.bootstrap import Intervals
 from placerec.cost import Cost
 from placerec.datasets import PlaceDataset
@@ -44,6 +46,12 @@ def write_image() -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def later_run(monkeypatch) -> Callable[[], None]:
+    """Return what makes all embeddings kept so far those of an earlier run."""
+    return lambda: monkeypatch.setattr(embedding_cache, "_STARTED_S", math.inf)
 
 
 @pytest.fixture(scope="session")
