@@ -38,7 +38,8 @@ def evaluate(
     """Measure how well recognizers tell places apart, and what they cost.
 
     Example: placerec evaluate rgbd_dataset_freiburg1_desk corridor --recognizers gradients
-    Example: placerec evaluate my_walk_in_may+my_walk_in_june:3 --out runs/seasons
+
+    Two sessions: placerec evaluate walk_in_may+walk_in_june:3 --out runs/seasons
 
     Prints a Markdown table; DIR then holds index.html, a page with curves, matrices and pictures
     that needs no network, and results.csv, every figure in full. One recognizer that fails does
@@ -49,14 +50,16 @@ def evaluate(
             - rgb.txt, groundtruth.txt: TUM RGB-D
             - Images/, *GroundTruth.mat: New College, City Centre
             - query/, ref/: two drives of one path
-            - dataset.csv: clips; the test floors, or as named
-            after a colon, FOLDER:validation or FOLDER:train
-            - QUERY+REFERENCE: one TUM recording looked for in another with poses in the same world
-            - QUERY+REFERENCE:FRAMES: two folders of images; numbers so far apart or less match
-        recognizers: installed names, package.module:ClassName, trained weights; all the installed.
+            - dataset.csv: clips; the test floors, or FOLDER:validation, FOLDER:train
+            two of them, the one looked for in the other:
+            - QUERY+REFERENCE: TUM RGB-D, with true poses in one world
+            - QUERY+REFERENCE:3: any images; numbers up to 3 apart match
+        recognizers: installed names, package.module:ClassName, trained weights; or all, which is
+            all the installed.
         out: folder for the page and the CSV file.
-        cache: keep embeddings, of recognizers that have a fingerprint, under ~/.cache/loopclose
-            (or $XDG_CACHE_HOME) and take them from there the next time.
+        cache: keep embeddings of recognizers with a fingerprint, by what is in the image, and
+            take them from there the next time. The folder, ~/.cache/loopclose/embeddings (or under
+            $XDG_CACHE_HOME), may be deleted at any time.
     """
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
