@@ -96,7 +96,7 @@ def test_what_an_earlier_training_wrote_is_gone_on_from(tmp_path):
     for parameter, value in network.features.state_dict().items():
         assert torch.equal(value, earlier.features.state_dict()[parameter].half().float())
     path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(RecognizerError, match="^the weights file is damaged"):
+    with pytest.raises(RecognizerError, match=r"^the weights file is damaged"):
         load_pretrained(network, path)
 
 
