@@ -107,6 +107,8 @@ def test_figures_marks_and_failures_are_told(page):
     assert "short trained on walk" in text
     assert "failed: ValueError: <b>no</b>" in text
     assert "12.3*" in text
+    assert "AMOSNet, HybridNet – – – 43,264 173,056 84.5" in text
+    assert "AlexNet, 4096 values 22 0.013 18.9 4,096 16,384 8" in text
     assert "the oldest on 2026-02-03" in text
     assert "short: first right match similarity 0.9000; 0.png ↔ 2.png" in text
     assert "other: no wrong match" in text

@@ -72,3 +72,11 @@ def test_another_focal_length_alone_moves_depth() -> None:
     moved = Registration(wide, SMALL, np.eye(4)).register_depth(depth_m)
     assert moved[1, 1:3].min() > 0.0
     assert (moved[:, [0, 3]] == 0.0).all()
+
+
+def test_depth_that_is_off_by_a_pixel_at_the_edge_is_moved() -> None:
+    color = Camera(100, 100, 100.0, 98.0, 49.5, 49.5, depth_scale=1000.0)
+    depth = Camera(100, 100, 100.0, 100.0, 49.5, 49.5, depth_scale=1000.0)
+    depth_m = np.repeat(np.arange(1.0, 101.0, dtype=np.float32)[:, None], 100, axis=1)
+    moved = Registration(color, depth, np.eye(4)).register_depth(depth_m)
+    assert (moved[0] == 0.0).all() and (moved[1] == 1.0).all() and (moved[50] == 51.0).all()
