@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bars that the project set itself, against what was measured."""
+
+from collections.abc import Sequence
+
+from benchmarks.place_recognition.results import DEFAULT, Results
+from benchmarks.place_recognition.sets import CORRIDOR, DESK, FLOORS
+from benchmarks.place_recognition.tables import Check, markdown, relative
+from benchmarks.place_recognition.trainings import MAIN_TRUNK
+from placerec.cost import Cost
+
+OVER_TRIPLET, OVER_UNTRAINED, FEWER_VALUES = 0.19, 0.27, -0.05
+EMBED_MS, COMPARE_MS = 25.0, 0.001
+BARS = (
+    (DESK, "recall@1", "recall_at_1", 0.70),
+    (DESK, "recall at 100 % precision", "recall_at_full_precision", 0.30),
+    (CORRIDOR, "recall@1", "recall_at_1", 0.92),
+    (CORRIDOR, "area under the best-match curve", "best_match_area", 0.85),
+)
+
+
+def checks(results: Results, cost: Cost | None) -> list[Check]:
+    """Return all bars that can be measured here; the cost is of the shipped weights."""
+    ours = results.seeds(MAIN_TRUNK, "multi-constraint")
+    theirs = results.seeds(MAIN_TRUNK, "triplet")
+    shipped = [DEFAULT] if DEFAULT in results.found else []
+    listed = []
+    for on in (DESK, FLOORS):
+        gains = relative(results.precisions(ours, on), results.precisions(theirs, on))
+        what = f"multi-constraint over triplet, average precision, {on}"
+        listed.append(Check(what, OVER_TRIPLET, gains, is_share=True))
+    untrained = results.precisions([results.best_layer(MAIN_TRUNK)], DESK)[0]
+    listed.append(
+        Check(
+            f"multi-constraint over the best untrained layer, average precision, {DESK}",
+            OVER_UNTRAINED,
+            [value / untrained - 1.0 for value in results.precisions(ours, DESK)],
+            _first([value / untrained - 1.0 for value in results.precisions(shipped, DESK)]),
+            is_share=True,
+        )
+    )
+    for on, title, figure, bar in BARS:
+        own = _first(results.values(shipped, on, figure))
+        listed.append(Check(f"{on}: {title}", bar, results.values(ours, on, figure), own))
+    fewer = results.precisions(["dimension-1000"], DESK)
+    all_values = results.precisions(["dimension-4096"], DESK)
+    losses = relative(fewer, all_values) if fewer and all_values else []
+    what = f"4096 values to 1000, average precision, {DESK}"
+    listed.append(Check(what, FEWER_VALUES, losses, is_share=True))
+    if cost is not None:
+        what = "embedding an image, median, one thread"
+        listed.append(
+            Check(what, EMBED_MS, [], cost.embed_ms, is_at_most=True, unit=" ms", digits=1)
+        )
+        what = "comparing two embeddings, in a batch of 10,000"
+        listed.append(
+            Check(what, COMPARE_MS, [], cost.compare_ms, is_at_most=True, unit=" ms", digits=5)
+        )
+    return listed
+
+
+def checks_table(listed: Sequence[Check]) -> str:
+    """Return the checks as a Markdown table."""
+    header = ("check", "bar", "seeds: mean (least to largest)", "", "shipped default", "")
+    return markdown(header, [check.row for check in listed])
+
+
+def _first(values: Sequence[float]) -> float | None:
+    return values[0] if values else None
