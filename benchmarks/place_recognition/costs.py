@@ -43,7 +43,7 @@ def measure_costs(
 
 
 def _cost(recognizer: PlaceRecognizer, dataset: PlaceDataset) -> Cost:
-    images = [dataset[i] for i in range(IMAGES)]
+    images = [dataset[i] for i in range(min(IMAGES, len(dataset)))]
     recognizer.embed(images[0])  # the first takes longer
     embeddings, seconds = [], []
     for image in images:

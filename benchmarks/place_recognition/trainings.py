@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from placerec.datasets import LabelledImages, open_dataset
+from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
 from placerec.networks.projection import merge
 from placerec.training import Training
 from placerec.training_plan import TrainingPlan
@@ -48,6 +48,7 @@ DIMENSIONS = (4096, 1000, 256)
 """Beside the recipe's own."""
 MAIN_TRUNK = "mobilenet_v2"
 """What the experiments are made with."""
+XYZ = "rgbd_dataset_freiburg1_xyz"
 
 # ---------------------------------------------------------------------------------------
 
@@ -115,6 +116,7 @@ class Trainer:
     def __init__(self, data: Path, scenes: Path, trunk_weights: Path, runs: Path) -> None:
         self._data, self._trunk_weights, self._runs = data, trunk_weights, runs
         self._scenes = sorted(path.parent for path in scenes.glob("*/rgb.txt"))
+        self._datasets: list[PlaceDataset] = []
         self._images: dict[bool, LabelledImages] = {}
 
     def train(self, planned: PlannedTraining) -> None:
@@ -140,12 +142,12 @@ class Trainer:
         training.checkpoint_path.unlink(missing_ok=True)  # large, and of no use any more
 
     def _learned_from(self, with_xyz: bool) -> LabelledImages:
-        if with_xyz not in self._images:
+        if not self._datasets:
             sources = [*map(str, self._scenes), str(self._data / "ie_tower")]
-            if with_xyz:
-                sources.append(str(self._data / "rgbd_dataset_freiburg1_xyz"))
-            datasets = [open_dataset(source, "train") for source in sources]
-            self._images[with_xyz] = LabelledImages(datasets)
+            self._datasets = [open_dataset(source, "train") for source in sources]
+        if with_xyz not in self._images:
+            xyz = [open_dataset(str(self._data / XYZ))] if with_xyz else []
+            self._images[with_xyz] = LabelledImages([*self._datasets, *xyz])
         return self._images[with_xyz]
 
 
