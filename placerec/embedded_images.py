@@ -24,7 +24,7 @@ class EmbeddedImages:
     Attributes:
         embeddings: (N, D) float32.
         seconds: (N,) float64, how long each took when it was made.
-        oldest: the day the oldest was made on, None where all were made now.
+        oldest: the day the oldest was made on by an earlier run, None where all are of this one.
     """
 
     embeddings: NDArray[np.float32]
@@ -53,7 +53,7 @@ def embed_dataset(
                 cache.keep(path, vector, took_s)
         else:
             vector, took_s = kept.vector, kept.seconds
-            days.append(kept.made_on)
+            days += [kept.made_on] if kept.made_on else []
         vectors.append(vector)
         seconds.append(took_s)
         if progress:

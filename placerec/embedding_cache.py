@@ -18,16 +18,20 @@ from placerec.user_cache import cache_folder
 
 LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
 """With another version of these, the last digits of an embedding may be others."""
+_STARTED_S = time.time()
 _FACTS = struct.Struct("<dd")
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 class KeptEmbedding(NamedTuple):
-    """An embedding, (D,) float32, how long it took to make, and on which day."""
+    """An embedding, (D,) float32, and how long it took to make.
+
+    The day is that on which an earlier run made it, None where this one did.
+    """
 
     vector: NDArray[np.float32]
     seconds: float
-    made_on: date
+    made_on: date | None
 
 
 class EmbeddingCache:
@@ -61,7 +65,8 @@ class EmbeddingCache:
             return None
         seconds, made_s = _FACTS.unpack_from(facts)
         vector = np.frombuffer(facts, np.float32, offset=_FACTS.size)
-        return KeptEmbedding(vector, seconds, date.fromtimestamp(made_s))
+        made_on = date.fromtimestamp(made_s) if made_s < _STARTED_S else None
+        return KeptEmbedding(vector, seconds, made_on)
 
     def keep(self, image: Path, vector: NDArray[np.float32], seconds: float) -> None:
         """Keep an image file's embedding, made just now; where that cannot be, it is let go."""

@@ -25,7 +25,7 @@ class Measured:
         evaluation: how well it tells places apart.
         intervals: how far that would move with other images.
         cost: what it takes.
-        timed_on: the day the oldest embedding was timed on, None where that was now.
+        timed_on: the day the oldest embedding was timed on, None where that was in this run.
     """
 
     dataset: PlaceDataset

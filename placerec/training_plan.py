@@ -22,7 +22,8 @@ class TrainingPlan:
     dimension: int = 1000
     """Values in an embedding."""
     weights: Path | None = None
-    """The trunk's published weights, .pth or .npz; none: random ones."""
+    """What the trunk starts from: its published weights, .pth or .npz, or those of an earlier
+    training, .safetensors; none: random ones."""
     loss: str = "multi-constraint"
     """What is minimised: multi-constraint, multi-constraint-full or triplet."""
     alpha: float = 0.5

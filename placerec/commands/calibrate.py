@@ -8,7 +8,8 @@ import tyro
 
 from placerec import calibration
 from placerec.certificate import TAIL, Certificate, write_certificate
-from placerec.commands.data import RECOGNIZER, describe, embed_data, open_data
+from placerec.commands.data import RECOGNIZER, embed_data, open_data
+from placerec.datasets import describe
 from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
 
 

@@ -30,11 +30,10 @@ def open_data(source: str, part: str = "test") -> PlaceDataset:
 
 
 @contextmanager
-def image_bar(name: str, dataset: PlaceDataset) -> Iterator[Progress]:
-    """Show a progress bar over a dataset's images while what is inside tells how many are done."""
+def progress_bar(title: str, total: int, unit: str = "image") -> Iterator[Progress]:
+    """Show a bar while what is inside tells how much is done."""
     # disable=None: no bar where nobody watches, as in a file.
-    title = f"{name} on {dataset.name}"
-    with tqdm(desc=title, total=len(dataset), unit="image", leave=False, disable=None) as bar:
+    with tqdm(desc=title, total=total, unit=unit, leave=False, disable=None) as bar:
         yield lambda done, _: bar.update(done - bar.n)
 
 
@@ -46,17 +45,6 @@ def embed_data(
     Raises:
         RecognizerError: the recognizer fails, or an image can no longer be read.
     """
-    with image_bar(name, dataset) as progress:
+    with progress_bar(f"{name} on {dataset.name}", len(dataset)) as progress:
         embedded = embed_dataset(recognizer, dataset, progress=progress)
     return embedded.embeddings, embedded.seconds
-
-
-def describe(dataset: PlaceDataset) -> str:
-    """Return how many images, pairs and revisits there are, in one line."""
-    revisits = dataset.comparable & dataset.same_place
-    found = revisits.any(axis=1)
-    return (
-        f"{dataset.name}: {len(dataset)} images ({len(dataset.skipped)} skipped), "
-        f"{dataset.pairs.sum()} pairs count, {(dataset.pairs & revisits).sum()} of them show one "
-        f"place; {found.sum()} of {found.size} queries have a match"
-    )

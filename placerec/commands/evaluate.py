@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from placerec.commands.data import RECOGNIZER, describe, image_bar, open_data
-from placerec.datasets import PlaceDataset
+from placerec.commands.data import RECOGNIZER, open_data, progress_bar
+from placerec.datasets import PlaceDataset, describe
 from placerec.evaluation import refuse_without_truth
 from placerec.evaluation_csv import evaluation_csv
 from placerec.evaluation_table import LEGEND, evaluation_table, notes
@@ -38,7 +38,8 @@ def evaluate(
     """Measure how well recognizers tell places apart, and what they cost.
 
     Example: placerec evaluate rgbd_dataset_freiburg1_desk corridor --recognizers gradients
-    Example: placerec evaluate my_walk_in_may+my_walk_in_june:3 --out runs/seasons
+
+    Two sessions: placerec evaluate walk_in_may+walk_in_june:3 --out runs/seasons
 
     Prints a Markdown table; DIR then holds index.html, a page with curves, matrices and pictures
     that needs no network, and results.csv, every figure in full. One recognizer that fails does
@@ -49,23 +50,21 @@ def evaluate(
             - rgb.txt, groundtruth.txt: TUM RGB-D
             - Images/, *GroundTruth.mat: New College, City Centre
             - query/, ref/: two drives of one path
-            - dataset.csv: clips; the test floors, or as named
-            after a colon, FOLDER:validation or FOLDER:train
-            - QUERY+REFERENCE: one TUM recording looked for in another with poses in the same world
-            - QUERY+REFERENCE:FRAMES: two folders of images; numbers so far apart or less match
-        recognizers: installed names, package.module:ClassName, trained weights; all the installed.
+            - dataset.csv: clips; the test floors, or FOLDER:validation, FOLDER:train
+            two of them, the one looked for in the other:
+            - QUERY+REFERENCE: TUM RGB-D, with true poses in one world
+            - QUERY+REFERENCE:3: any images; numbers up to 3 apart match
+        recognizers: installed names, package.module:ClassName, trained weights; or all, which is
+            all the installed.
         out: folder for the page and the CSV file.
-        cache: keep embeddings, of recognizers that have a fingerprint, under ~/.cache/loopclose
-            (or $XDG_CACHE_HOME) and take them from there the next time.
+        cache: keep embeddings of recognizers with a fingerprint, by what is in the image, and
+            take them from there the next time. The folder, ~/.cache/loopclose/embeddings (or under
+            $XDG_CACHE_HOME), may be deleted at any time.
     """
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
-    loaded = _load_all(recognizers)
-    datasets = [open_data(source) for source in data]
-    for dataset in datasets:
-        refuse_without_truth(dataset)
     try:
-        rows = [row for dataset in datasets for row in _measure_all(dataset, loaded, cache)]
+        rows = _measure_all(data, recognizers or (ALL,), out, cache)
         print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
         print("".join(f"{note}\n" for note in notes(rows)), end="")
         _write(rows, out)
@@ -74,10 +73,28 @@ def evaluate(
     return SOMETHING_FAILED if any(isinstance(row, Failed) for row in rows) else 0
 
 
+def _measure_all(
+    sources: Sequence[str], names: Sequence[str], out: Path, use_cache: bool
+) -> list[Measurement]:
+    # All that may be wrong with what was asked is found before the long work.
+    loaded = _load_all(names)
+    datasets = [open_data(source) for source in sources]
+    for dataset in datasets:
+        refuse_without_truth(dataset)
+    _make_folder(out)
+    rows: list[Measurement] = []
+    for dataset in datasets:
+        for name, recognizer in loaded.items():
+            turn = f"{len(rows) + 1}/{len(datasets) * len(loaded)}"
+            rows.append(_measure(turn, name, recognizer, dataset, use_cache))
+        print(describe(dataset))
+    return rows
+
+
 def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerError]:
     """Return what was named, each once; of all that are installed, some may not be loadable."""
     loaded: dict[str, PlaceRecognizer | RecognizerError] = {}
-    for name in names or (ALL,):
+    for name in names:
         if name != ALL:
             loaded[name] = load(name)
             continue
@@ -89,15 +106,8 @@ def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerErr
     return loaded
 
 
-def _measure_all(
-    dataset: PlaceDataset, loaded: dict[str, PlaceRecognizer | RecognizerError], use_cache: bool
-) -> list[Measurement]:
-    rows = [_measure(name, found, dataset, use_cache) for name, found in loaded.items()]
-    print(describe(dataset))
-    return rows
-
-
 def _measure(
+    turn: str,
     name: str,
     recognizer: PlaceRecognizer | RecognizerError,
     dataset: PlaceDataset,
@@ -105,14 +115,23 @@ def _measure(
 ) -> Measurement:
     if isinstance(recognizer, RecognizerError):
         return Failed(dataset, name, str(recognizer))
-    with image_bar(name, dataset) as progress:
+    with progress_bar(f"{turn} {name} on {dataset.name}", len(dataset)) as progress:
         return measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
 
 
-def _write(rows: Sequence[Measurement], folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
+
+
+def _write(rows: Sequence[Measurement], folder: Path) -> None:
+    # Loaded here, because drawing takes a second to load that the other commands do not need.
+    from placerec.report import render
+
     write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
-    print(f"written to {folder}")
+    with progress_bar("drawing", len(rows), "figure") as progress:
+        page = render(rows, progress)
+    write_atomically(folder / "index.html", page.encode())
+    print(f"written to {folder / 'index.html'} and results.csv")

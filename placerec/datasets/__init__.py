@@ -3,6 +3,6 @@
 
 from placerec.datasets.formats import open_dataset
 from placerec.datasets.labelled_images import LabelledImages
-from placerec.datasets.place_dataset import PlaceDataset
+from placerec.datasets.place_dataset import PlaceDataset, describe
 
-__all__ = ["LabelledImages", "PlaceDataset", "open_dataset"]
+__all__ = ["LabelledImages", "PlaceDataset", "describe", "open_dataset"]

@@ -105,3 +105,14 @@ def keep_readable(dataset: PlaceDataset) -> PlaceDataset:
     if not broken:
         return dataset
     return replace(dataset.subset(np.array([fault is None for fault in faults])), skipped=broken)
+
+
+def describe(dataset: PlaceDataset) -> str:
+    """Return how many images, pairs and revisits there are, in one line."""
+    revisits = dataset.comparable & dataset.same_place
+    found = revisits.any(axis=1)
+    return (
+        f"{dataset.name}: {len(dataset)} images ({len(dataset.skipped)} skipped), "
+        f"{dataset.pairs.sum()} pairs count, {(dataset.pairs & revisits).sum()} of them show one "
+        f"place; {found.sum()} of {found.size} queries have a match"
+    )

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import safetensors.torch
 import torch
 from torch import Tensor
 
@@ -20,13 +21,15 @@ from placerec.recognizer import RecognizerError
 from placerec.user_cache import cache_folder
 
 TIMEOUT_S = 30.0
+OURS = ".safetensors"
 
 
 def load_pretrained(network: PlaceNetwork, path: Path) -> None:
     """Give a network's trunk the weights of a file.
 
-    The file is a torchvision state dict (.pth) or an archive of arrays (.npz); what it holds
-    beyond the trunk's layers, such as the original fully connected ones, is left out.
+    The file is a torchvision state dict (.pth), an archive of arrays (.npz), or what an earlier
+    training wrote (.safetensors); what it holds beyond the trunk's layers, such as the original
+    fully connected ones, is left out.
 
     Raises:
         RecognizerError: the file cannot be read, would run code, or is another network's.
@@ -35,7 +38,8 @@ def load_pretrained(network: PlaceNetwork, path: Path) -> None:
     name = network.trunk.name
     state = network.features.state_dict()
     for parameter, value in state.items():
-        in_file = network.trunk.name_in_file(parameter)
+        is_ours = path.suffix == OURS
+        in_file = f"features.{parameter}" if is_ours else network.trunk.name_in_file(parameter)
         found = weights.get(in_file)
         if found is None:
             raise RecognizerError(f"not weights of {name}: there is no {in_file}: {path}")
@@ -89,6 +93,8 @@ def _read(path: Path) -> Mapping[str, Tensor]:
         if path.suffix == ".npz":
             with np.load(content, allow_pickle=False) as archive:
                 return {name: torch.from_numpy(archive[name]) for name in archive.files}
+        if path.suffix == OURS:
+            return safetensors.torch.load(content.getvalue())
         loaded = torch.load(content, map_location="cpu", weights_only=True)
     except Exception as error:  # torch and numpy raise many kinds for a damaged file
         raise RecognizerError(

@@ -61,16 +61,8 @@ class Sequence:
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
-        Args:
-            name: as below.
-            camera: as below.
-            images: the files of all frames, in the order of time.
-            ground_truth: as below.
-            unpaired_color: as below.
-            unpaired_depth: as below.
-            warnings: what was noticed so far.
-            registration: how colour and depth files belong together; default: pixel by pixel.
-            read_depth_file: default: reads images of 16 bits, in the camera's depth scale.
+        Colour and depth files that do not show the same pixel by pixel need a `registration`, and
+        depth files that are no images of 16 bits in the camera's depth scale a `read_depth_file`.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -8,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec import embedding_cache
 from placerec.bootstrap import Intervals
 from placerec.cost import Cost
 from placerec.datasets import PlaceDataset
@@ -34,7 +36,7 @@ def real_data() -> Callable[[str], Path]:
     return find
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def write_image() -> Callable[..., Path]:
     def write(path: Path, seed: int = 0, channels: int = 3) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,9 +49,16 @@ def write_image() -> Callable[..., Path]:
 
 
 @pytest.fixture
-def measured(tmp_path, write_image) -> Measured:
+def later_run(monkeypatch) -> Callable[[], None]:
+    """Return what makes all embeddings kept so far those of an earlier run."""
+    return lambda: monkeypatch.setattr(embedding_cache, "_STARTED_S", math.inf)
+
+
+@pytest.fixture(scope="session")
+def measured(tmp_path_factory, write_image) -> Measured:
     """Return a measurement on two drives of two images each, with figures that are easy to tell."""
-    paths = tuple(write_image(tmp_path / f"walk/{i}.png", seed=i) for i in range(4))
+    folder = tmp_path_factory.mktemp("walk")
+    paths = tuple(write_image(folder / f"{i}.png", seed=i) for i in range(4))
     truth = np.eye(2, dtype=np.bool_)
     dataset = PlaceDataset("walk", paths, np.arange(2), np.arange(2, 4), truth, np.ones_like(truth))
     curve = Curve(np.array([0.9, 0.1]), np.array([1.0, 0.5]), np.array([0.5, 1.0]))

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+import csv
+from importlib import import_module
+
 import pytest
 
 from placerec.certificate import read_certificate
@@ -38,6 +41,7 @@ def test_bad_usage(arguments):
 
 
 GRADIENTS = "placerec.gradients:GradientRecognizer"
+evaluate = import_module("placerec.commands.evaluate")  # the name in the package is the function's
 
 
 @pytest.fixture
@@ -68,6 +72,92 @@ def test_evaluate_prints_a_table_and_names_what_it_skipped(drives, capsys):
     assert len(rows) == 2
     assert [cell.strip() for cell in rows[0].split("|")[3:5]] == ["1.000", "1.000"]
     assert f"skipped: not a readable image: {drives}/ref/1.png" in shown.err
+
+
+def figures(out):
+    return list(csv.DictReader((out / "results.csv").read_text().splitlines()))
+
+
+def test_evaluate_leaves_a_page_and_the_figures(drives, tmp_path, capsys):
+    out = tmp_path / "new" / "evaluation"
+    assert main(["evaluate", drives, "--recognizers", GRADIENTS, "--out", str(out)]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["index.html", "results.csv"]
+    (row,) = figures(out)
+    assert (row["data"], row["recognizer"], row["average_precision"]) == (
+        "drives",
+        GRADIENTS,
+        "1.0",
+    )
+    assert "<h2>drives</h2>" in (out / "index.html").read_text()
+    assert str(out / "index.html") in capsys.readouterr().out
+
+
+def test_the_second_time_embeddings_are_taken_from_the_cache_unless_told_otherwise(
+    drives, tmp_path, later_run, capsys
+):
+    arguments = ["evaluate", drives, "--recognizers", GRADIENTS, "--out", str(tmp_path / "out")]
+    timed_on = []
+    for more in ([], [], ["--no-cache"]):
+        assert main([*arguments, *more]) == 0
+        later_run()
+        timed_on.append(figures(tmp_path / "out")[0]["embed_timed_on"])
+    assert [bool(day) for day in timed_on] == [False, True, False]
+    assert capsys.readouterr().out.count("* timed when the kept embeddings were made") == 1
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """Write a module of recognizers: one that cannot be made, and one that fails at work."""
+    (tmp_path / "frail.py").write_text(
+        "class Unmade:\n    def __init__(self):\n        raise OSError('no weights')\n"
+        "class Unfit:\n    min_similarity = 0.5\n"
+        "    def embed(self, image):\n        raise ValueError('not today')\n"
+    )
+    return ("frail:Unmade", "frail:Unfit", GRADIENTS)
+
+
+def test_of_all_that_are_installed_one_that_fails_does_not_stop_the_others(
+    drives, installed, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(evaluate, "available", lambda: installed)
+    assert main(["evaluate", drives, "--out", str(tmp_path / "out")]) == 1
+    out = capsys.readouterr().out
+    assert "failed: recognizer 'frail:Unmade' cannot be constructed: OSError: no weights" in out
+    assert "failed: recognizer 'Unfit' failed: ValueError: not today" in out
+    rows = figures(tmp_path / "out")
+    assert [bool(row["failure"]) for row in rows] == [True, True, False]
+    assert rows[2]["average_precision"] == "1.0"
+
+
+def test_all_may_stand_beside_others_each_counted_once(drives, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(evaluate, "available", lambda: (GRADIENTS,))
+    assert main(["evaluate", drives, "--recognizers", "all", GRADIENTS]) == 0
+    assert len(figures(tmp_path / "runs" / "evaluation")) == 1
+
+
+def test_what_is_wrong_is_found_before_the_work(drives, tmp_path, monkeypatch, installed, capsys):
+    monkeypatch.setattr(evaluate, "measure", lambda *_, **__: pytest.fail("this is the work"))
+    (tmp_path / "file").write_text("")
+    wrong = [
+        ([drives, "--recognizers", GRADIENTS, "frail:Unmade"], "cannot be constructed: OSError"),
+        ([drives, "missing", "--recognizers", GRADIENTS], "there is no such folder"),
+        ([drives, "--recognizers", GRADIENTS, "--out", "file"], "cannot make the folder"),
+        ([f"{drives}/query+{drives}/ref:9", "--recognizers", GRADIENTS], "nothing can be measured"),
+    ]
+    for arguments, message in wrong:
+        assert main(["evaluate", *arguments]) == 2
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert error.startswith("placerec: ")
+        assert message in error
+
+
+def test_stopping_an_evaluation_is_one_line(drives, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "measure", interrupted)
+    assert main(["evaluate", drives, "--recognizers", GRADIENTS]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("placerec: stopped; ")
 
 
 def test_calibrate_writes_a_certificate(drives, tmp_path, capsys):

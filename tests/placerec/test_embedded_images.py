@@ -52,9 +52,11 @@ def test_embeddings_are_in_the_order_of_the_images_and_timed(dataset):
     assert seen == [(i, 6) for i in range(1, 7)]
 
 
-def test_the_second_time_nothing_is_embedded(dataset, cache):
+def test_the_second_time_nothing_is_embedded(dataset, cache, later_run):
     first, second = Brightness(), Brightness()
     fresh = embed_dataset(first, dataset, cache)
+    assert embed_dataset(second, dataset, cache).oldest is None
+    later_run()
     again = embed_dataset(second, dataset, cache)
     assert (first.calls, second.calls) == (3, 0)  # ref/ has the very images of query/
     assert np.array_equal(fresh.embeddings, again.embeddings)

@@ -35,7 +35,14 @@ def test_what_was_kept_is_found_again_with_its_time_and_day(tmp_path, image):
     kept = EmbeddingCache(Marked(), tmp_path).find(image)
     assert kept.vector.tobytes() == VECTOR.tobytes()
     assert kept.seconds == 0.25
-    assert abs((kept.made_on - date.today()).days) <= 1
+    assert kept.made_on is None
+
+
+def test_what_an_earlier_run_made_tells_its_day(tmp_path, image, later_run):
+    EmbeddingCache(Marked(), tmp_path).keep(image, VECTOR, 0.25)
+    later_run()
+    made_on = EmbeddingCache(Marked(), tmp_path).find(image).made_on
+    assert abs((made_on - date.today()).days) <= 1
 
 
 def test_the_content_counts_not_the_name(tmp_path, image, write_image):

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import hashlib
+import inspect
 import os
 from pathlib import Path
 
@@ -49,3 +51,8 @@ def test_threshold_keeps_one_room_and_refuses_most_of_another_building():
 
 def _read(path: Path) -> np.ndarray:
     return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+
+
+def test_its_fingerprint_is_that_of_its_source():
+    source = Path(inspect.getfile(GradientRecognizer)).read_bytes()
+    assert GradientRecognizer().fingerprint == f"sha256:{hashlib.sha256(source).hexdigest()}"

@@ -50,12 +50,15 @@ def test_what_is_measured(dataset):
     assert found.timed_on is None
 
 
-def test_only_a_recognizer_with_a_fingerprint_is_kept_and_only_if_wished(dataset, user_cache):
+def test_only_a_recognizer_with_a_fingerprint_is_kept_and_only_if_wished(
+    dataset, user_cache, later_run
+):
     measure("grey", Grey(), dataset)
     measure("kept", Kept(), dataset, use_cache=False)
     assert not user_cache.exists()
     measure("kept", Kept(), dataset)
     assert user_cache.exists()
+    later_run()
     again = measure("kept", Kept(), dataset)
     assert again.timed_on is not None
     assert again.weights == "none, it is but the image"

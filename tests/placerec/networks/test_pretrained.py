@@ -15,6 +15,7 @@ from torch.nn import functional
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import download_pretrained, load_pretrained
 from placerec.recognizer import RecognizerError
+from placerec.weights_file import save_weights
 
 SMALL = (64, 64)
 ROOT = Path(__file__).parents[3]
@@ -84,6 +85,19 @@ def _refuse(path, name, message):
         load_pretrained(network, path)
     assert "\n" not in str(error.value)
     assert all(torch.equal(v, before[n]) for n, v in network.state_dict().items())
+
+
+def test_what_an_earlier_training_wrote_is_gone_on_from(tmp_path):
+    earlier = PlaceNetwork(TRUNKS["mobilenet_v2"], 2, size_px=SMALL, block="block3", seed=1)
+    path = tmp_path / "weights.safetensors"
+    save_weights(earlier, path, 0.5)
+    network = PlaceNetwork(TRUNKS["mobilenet_v2"], 7, size_px=SMALL, block="block2")
+    load_pretrained(network, path)
+    for parameter, value in network.features.state_dict().items():
+        assert torch.equal(value, earlier.features.state_dict()[parameter].half().float())
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(RecognizerError, match=r"^the weights file is damaged"):
+        load_pretrained(network, path)
 
 
 def test_pickle_that_would_run_code_is_refused(tmp_path):
