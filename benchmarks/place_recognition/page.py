@@ -17,6 +17,7 @@ from benchmarks.place_recognition.results import DEFAULT, GRADIENTS, Results, co
 from benchmarks.place_recognition.sets import open_sets
 from benchmarks.place_recognition.tables import markdown, number, percent, relative, spread
 from benchmarks.place_recognition.trainings import (
+    DIMENSIONS,
     MAIN_TRUNK,
     RECIPE,
     TRUNK_PLANS,
@@ -69,9 +70,8 @@ def _words(results: Results, runs: Path) -> dict[str, object]:
 
 def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[str, object]:
     pictures = Pictures(folder)
-    ours = DEFAULT if DEFAULT in results.found else MAIN
     legend = {
-        ours: ours,
+        DEFAULT: DEFAULT,
         "multi-constraint": MAIN,
         "triplet": compared_name(MAIN_TRUNK, "triplet", 0),
         "start of the training": f"{MAIN_TRUNK}-start",
@@ -83,9 +83,9 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
     }
     desk = results.sets[0].datasets[0]
     costs = measure_costs(results, runs, default, desk)
-    ways = [title for title in (ours, "triplet") if title in methods]
+    ways = [title for title in (DEFAULT, "multi-constraint", "triplet") if title in methods]
     return {
-        "checks": checks_table(checks(results, costs.get(DEFAULT))),
+        "checks": checks_table(checks(results, costs)),
         "curves": {each.name: pictures.curves(each, methods) for each in results.sets},
         "distances": pictures.distances(
             desk, {title: each.similarities[desk.name] for title, each in methods.items()}
@@ -157,7 +157,7 @@ def _experiments_table(results: Results) -> str:
 
 
 def _dimensions_table(results: Results) -> str:
-    names = {f"dimension-{n}": n for n in (4096, 1000, 256)} | {MAIN: RECIPE.dimension}
+    names = {f"dimension-{n}": n for n in DIMENSIONS} | {MAIN: RECIPE.dimension}
     rows = [
         (str(dimension), *_precisions(results, name))
         for name, dimension in sorted(names.items(), key=lambda item: -item[1])
@@ -167,7 +167,7 @@ def _dimensions_table(results: Results) -> str:
 
 
 def _dimension_series(results: Results) -> dict[str, dict[int, list[float]]]:
-    names = {4096: ["dimension-4096"], 1000: ["dimension-1000"], 256: ["dimension-256"]}
+    names = {n: [f"dimension-{n}"] for n in DIMENSIONS}
     names[RECIPE.dimension] = results.seeds(MAIN_TRUNK, "multi-constraint")
     series = {
         each.name: {n: results.precisions(names[n], each.name) for n in sorted(names)}
@@ -176,6 +176,7 @@ def _dimension_series(results: Results) -> dict[str, dict[int, list[float]]]:
     return {
         name: {n: values for n, values in by_dimension.items() if values}
         for name, by_dimension in series.items()
+        if any(by_dimension.values())
     }
 
 

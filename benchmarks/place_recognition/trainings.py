@@ -32,10 +32,10 @@ RECIPE = TrainingPlan(
     mixed_precision=True,
 )
 TRUNK_PLANS = {
-    "mobilenet_v2": replace(RECIPE, block="block12", size=(160, 120), steps=200),
-    "squeezenet": replace(RECIPE, trunk="squeezenet", block="fire5", size=(160, 120), steps=100),
-    "alexnet": replace(RECIPE, trunk="alexnet", block="conv5", size=(160, 120), steps=100),
-    "vgg16": replace(RECIPE, trunk="vgg16", block="conv3_3", size=(96, 72), steps=25),
+    "mobilenet_v2": replace(RECIPE, block="block12", size=(160, 120), steps=120),
+    "squeezenet": replace(RECIPE, trunk="squeezenet", block="fire5", size=(160, 120), steps=60),
+    "alexnet": replace(RECIPE, trunk="alexnet", block="conv5", size=(160, 120), steps=60),
+    "vgg16": replace(RECIPE, trunk="vgg16", block="conv3_3", size=(96, 72), steps=15),
 }
 PUBLISHED_WEIGHTS = {
     "mobilenet_v2": Path("mobilenet_v2/mobilenet_v2.npz"),
@@ -44,7 +44,7 @@ PUBLISHED_WEIGHTS = {
 """Of the trunks that do not start from scratch, below the folder of trunk weights."""
 LOSSES = ("multi-constraint", "triplet")
 SEEDS = (0, 1, 2)
-DIMENSIONS = (4096, 1000, 256)
+DIMENSIONS = (4096, 1000)
 """Beside the recipe's own."""
 MAIN_TRUNK = "mobilenet_v2"
 """What the experiments are made with."""
