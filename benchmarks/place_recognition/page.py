@@ -15,7 +15,14 @@ from benchmarks.place_recognition.costs import measure_costs
 from benchmarks.place_recognition.pictures import Pictures
 from benchmarks.place_recognition.results import DEFAULT, GRADIENTS, Results, collect
 from benchmarks.place_recognition.sets import open_sets
-from benchmarks.place_recognition.tables import markdown, number, percent, relative, spread
+from benchmarks.place_recognition.tables import (
+    markdown,
+    number,
+    percent,
+    relative,
+    relative_mean,
+    spread,
+)
 from benchmarks.place_recognition.trainings import (
     DIMENSIONS,
     MAIN_TRUNK,
@@ -115,7 +122,7 @@ def _losses_tables(results: Results) -> dict[str, str]:
             mine, other = results.precisions(ours, on), results.precisions(theirs, on)
             start = results.precisions([f"{trunk}-start"], on)
             layer = results.precisions([results.best_layer(trunk)], on)
-            gain = spread(relative(mine, other), percent)
+            gain = spread(relative(mine, other), percent, relative_mean(mine, other))
             rows.append((on, spread(mine), spread(other), gain, spread(start), spread(layer)))
         header = (
             "average precision",

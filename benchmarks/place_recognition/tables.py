@@ -19,6 +19,7 @@ class Check:
         is_at_most: whether it must not exceed the bar.
         unit: behind the numbers.
         digits: behind the point.
+        centre: of the values, where it is not their mean.
     """
 
     what: str
@@ -29,6 +30,7 @@ class Check:
     is_at_most: bool = False
     unit: str = ""
     digits: int = 3
+    centre: float | None = None
 
     def is_met(self, value: float) -> bool:
         """Return whether a value reaches the bar."""
@@ -40,8 +42,8 @@ class Check:
         sign = "≤" if self.is_at_most else "≥"
         cells = [self.what, f"{sign} {self._text(self.bar)}"]
         if self.values:
-            mean = fmean(self.values)
-            cells += [spread(self.values, self._text), verdict(self.is_met(mean))]
+            centre = fmean(self.values) if self.centre is None else self.centre
+            cells += [spread(self.values, self._text, centre), verdict(self.is_met(centre))]
         else:
             cells += ["not measured", ""]
         if self.shipped is None:
@@ -69,16 +71,27 @@ def percent(value: float) -> str:
     return f"{100 * value:+.1f} %"
 
 
-def spread(values: Sequence[float], text: Callable[[float], str] = number) -> str:
-    """Return the mean and, of several values, the least and the largest."""
+def spread(
+    values: Sequence[float], text: Callable[[float], str] = number, centre: float | None = None
+) -> str:
+    """Return the centre, by default the mean, and, of several values, least and largest."""
     if len(values) < 2:
         return text(values[0]) if values else "–"
-    return f"{text(fmean(values))} ({text(min(values))} to {text(max(values))})"
+    middle = fmean(values) if centre is None else centre
+    return f"{text(middle)} ({text(min(values))} to {text(max(values))})"
 
 
 def relative(values: Sequence[float], others: Sequence[float]) -> list[float]:
     """Return by how much each value exceeds its counterpart, as a share of that."""
     return [value / other - 1.0 for value, other in zip(values, others, strict=True)]
+
+
+def relative_mean(values: Sequence[float], others: Sequence[float]) -> float | None:
+    """Return by how much the mean exceeds the others', as a share of that; None of nothing.
+
+    A mean of shares would count most where the counterpart happens to be bad.
+    """
+    return fmean(values) / fmean(others) - 1.0 if values else None
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]], names: int = 1) -> str:

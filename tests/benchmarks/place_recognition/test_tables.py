@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from benchmarks.place_recognition.tables import Check, markdown, relative, spread
+from benchmarks.place_recognition.tables import Check, markdown, relative, relative_mean, spread
 
 
 def test_a_bar_is_met_by_the_mean_of_the_seeds_not_by_the_best_of_them():
@@ -37,3 +37,11 @@ def test_a_spread_of_nothing_is_a_dash_and_of_one_value_that_value():
 def test_numbers_stand_to_the_right():
     table = markdown(("a", "b"), [("x", "1")])
     assert table.splitlines() == ["| a | b |", "| --- | ---: |", "| x | 1 |"]
+
+
+def test_one_bad_counterpart_does_not_make_the_mean_difference():
+    ours, theirs = [0.3, 0.3], [0.1, 0.3]
+    assert relative_mean(ours, theirs) == pytest.approx(0.5)
+    gains = Check("gain", 0.6, relative(ours, theirs), is_share=True, centre=0.5)
+    assert gains.row[2:4] == ("+50.0 % (+0.0 % to +200.0 %)", "**missed**")
+    assert relative_mean([], []) is None
