@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trains what is compared, measures it, and writes docs/place_recognition.md with its figures.
+
+    python -m benchmarks.place_recognition --data DATA --scenes SCENES --validation PATHS \
+        --trunk-weights WEIGHTS --runs runs/page [--part 1/2 | --only-page | --list]
+
+From the root of the repository. SCENES and PATHS are made by benchmarks/training_scenes.py (with
+--paths). A finished training is not repeated, an interrupted one resumes. With --part, several
+processes share the trainings and no page is written; write it afterwards with --only-page.
+"""
+
+import argparse
+from pathlib import Path
+
+from benchmarks.place_recognition.trainings import Trainer, planned_trainings, share
+from placerec.embedding import DEFAULT_WEIGHTS
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def main() -> None:
+    """Do what the command line asks for."""
+    arguments = _arguments()
+    planned = planned_trainings()
+    if arguments.part:
+        planned = share(planned, *arguments.part)
+    if arguments.list:
+        for each in planned:
+            done = "done" if each.weights(arguments.runs).exists() else "to do"
+            print(f"{done:5}  {each.folder(arguments.runs).name}")
+        return
+    if not arguments.only_page:
+        trainer = Trainer(arguments.data, arguments.scenes, arguments.trunk_weights, arguments.runs)
+        for each in planned:
+            print(each.name, flush=True)
+            trainer.train(each)
+    if not arguments.part:
+        # Loaded here: figures need libraries that a training does not.
+        from benchmarks.place_recognition.page import write_page
+
+        write_page(
+            data=arguments.data,
+            validation=arguments.validation,
+            trunk_weights=arguments.trunk_weights,
+            runs=arguments.runs,
+            default=arguments.default,
+            docs=DOCS,
+        )
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
+    for name, what in (
+        ("data", "folder of ie_tower, corridor, rgbd_dataset_freiburg1_desk and _xyz"),
+        ("scenes", "folder of the rendered scenes to learn from"),
+        ("validation", "folder of the rendered paths to measure on"),
+        ("trunk-weights", "folder of the published weights"),
+        ("runs", "folder for the trainings, and for what was measured"),
+    ):
+        parser.add_argument(f"--{name}", type=Path, required=True, help=what)
+    parser.add_argument("--default", type=Path, default=DEFAULT_WEIGHTS, help="shipped weights")
+    parser.add_argument("--only-page", action="store_true", help="train nothing")
+    parser.add_argument("--list", action="store_true", help="print the trainings and what is done")
+    parser.add_argument("--part", type=_part, metavar="K/N", help="train the K-th of N parts")
+    return parser.parse_args()
+
+
+def _part(text: str) -> tuple[int, int]:
+    part, parts = (int(number) for number in text.split("/"))
+    if not 1 <= part <= parts:
+        raise ValueError
+    return part, parts
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The results page, docs/place_recognition.md: what was measured, in the words of a template."""
+
+import os
+import platform
+from collections.abc import Sequence
+from dataclasses import astuple
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from benchmarks.place_recognition.checks import checks, checks_table
+from benchmarks.place_recognition.costs import measure_costs
+from benchmarks.place_recognition.pictures import Pictures
+from benchmarks.place_recognition.results import DEFAULT, GRADIENTS, Results, collect
+from benchmarks.place_recognition.sets import open_sets
+from benchmarks.place_recognition.tables import (
+    markdown,
+    number,
+    percent,
+    relative,
+    relative_mean,
+    spread,
+)
+from benchmarks.place_recognition.trainings import (
+    DIMENSIONS,
+    MAIN_TRUNK,
+    RECIPE,
+    TRUNK_PLANS,
+    compared_name,
+    planned_trainings,
+)
+from placerec.output_file import write_atomically
+from placerec.training import LOG_NAME
+from placerec.training_log import read_log
+
+TEMPLATE = Path(__file__).with_name("page.md.j2")
+LIBRARIES = ("torch", "numpy", "opencv-python-headless")
+MAIN = compared_name(MAIN_TRUNK, "multi-constraint", 0)
+FIGURES = ("average precision", "recall@1", "recall at 100 % P", "best-match area")
+
+
+def write_page(
+    *, data: Path, validation: Path, trunk_weights: Path, runs: Path, default: Path, docs: Path
+) -> None:
+    """Measure what there is, and write the page and its figures.
+
+    Raises:
+        RecognizerError: data or weights cannot be read, or a file cannot be written.
+    """
+    results = collect(open_sets(data, validation), trunk_weights, runs, default)
+    images = docs / "images" / "places"
+    # A word of Markdown is no HTML: nothing is to be escaped.
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    text = template.render(**_words(results, runs), **_figures(results, runs, default, images))
+    write_atomically(docs / "place_recognition.md", text.encode())
+    print(f"written to {docs / 'place_recognition.md'}")
+
+
+def _words(results: Results, runs: Path) -> dict[str, object]:
+    return {
+        "sets": results.sets,
+        "recipe": RECIPE,
+        "losses": _losses_tables(results),
+        "untrained": _untrained_table(results),
+        "experiments": _experiments_table(results),
+        "dimensions": _dimensions_table(results),
+        "budget": _budget_table(runs),
+        "machine": f"{_processor()}, {os.cpu_count()} cores",
+        "versions": ", ".join(f"{name} {_version(name)}" for name in ("python", *LIBRARIES)),
+    }
+
+
+def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[str, object]:
+    pictures = Pictures(folder)
+    legend = {
+        DEFAULT: DEFAULT,
+        "multi-constraint": MAIN,
+        "triplet": compared_name(MAIN_TRUNK, "triplet", 0),
+        "start of the training": f"{MAIN_TRUNK}-start",
+        "untrained layer": results.best_layer(MAIN_TRUNK),
+        GRADIENTS: GRADIENTS,
+    }
+    methods = {
+        title: results.found[name] for title, name in legend.items() if name in results.found
+    }
+    desk = results.sets[0].datasets[0]
+    costs = measure_costs(results, runs, default, desk)
+    ways = [title for title in (DEFAULT, "multi-constraint", "triplet") if title in methods]
+    return {
+        "checks": checks_table(checks(results, costs)),
+        "curves": {each.name: pictures.curves(each, methods) for each in results.sets},
+        "distances": pictures.distances(
+            desk, {title: each.similarities[desk.name] for title, each in methods.items()}
+        ),
+        "ways": [pictures.way(t, desk, methods[t].similarities[desk.name]) for t in ways],
+        "dimension_figure": pictures.dimensions(_dimension_series(results)),
+        "cost_figures": pictures.costs(costs),
+        "costs": markdown(
+            ("", "ms per image", "ms per comparison", "values", "bytes"),
+            [
+                (n, f"{c.embed_ms:.1f}", f"{c.compare_ms:.5f}", *map(str, astuple(c)[2:]))
+                for n, c in costs.items()
+            ],
+        ),
+    }
+
+
+def _losses_tables(results: Results) -> dict[str, str]:
+    """Return multi-constraint against triplet, a table per trunk."""
+    tables = {}
+    for trunk in TRUNK_PLANS:
+        ours, theirs = (results.seeds(trunk, loss) for loss in ("multi-constraint", "triplet"))
+        if not ours:
+            continue
+        rows = []
+        for on in (each.name for each in results.sets):
+            mine, other = results.precisions(ours, on), results.precisions(theirs, on)
+            start = results.precisions([f"{trunk}-start"], on)
+            layer = results.precisions([results.best_layer(trunk)], on)
+            gain = spread(relative(mine, other), percent, relative_mean(mine, other))
+            rows.append((on, spread(mine), spread(other), gain, spread(start), spread(layer)))
+        header = (
+            "average precision",
+            "multi-constraint",
+            "triplet",
+            "difference",
+            "start",
+            results.best_layer(trunk).removeprefix(trunk).strip(),
+        )
+        tables[trunk] = markdown(header, rows)
+    return tables
+
+
+def _untrained_table(results: Results) -> str:
+    names = [name for trunk in TRUNK_PLANS for name in results.layers[trunk]]
+    best = {results.best_layer(trunk) for trunk in TRUNK_PLANS}
+    rows = [
+        (f"**{name}**" if name in best else name, *_precisions(results, name)) for name in names
+    ]
+    return markdown(("untrained layer", *(each.name for each in results.sets)), rows)
+
+
+def _experiments_table(results: Results) -> str:
+    rows = []
+    titles = {
+        DEFAULT: DEFAULT,
+        MAIN: "the recipe, seed 0",
+        "with-fr1_xyz": "with fr1_xyz among the data",
+        "papers-margins": "the paper's margins",
+        "papers-pooling": "the paper's flattened maps",
+        f"{MAIN_TRUNK}-start": "no step at all",
+        GRADIENTS: GRADIENTS,
+    }
+    for name, title in titles.items():
+        for each in results.sets if name in results.found else ():
+            score = results.found[name].scores[each.name]
+            rows.append((title, each.name, *map(number, astuple(score))))
+    return markdown(("", "on", *FIGURES), rows, names=2)
+
+
+def _dimensions_table(results: Results) -> str:
+    names = {f"dimension-{n}": n for n in DIMENSIONS} | {MAIN: RECIPE.dimension}
+    rows = [
+        (str(dimension), *_precisions(results, name))
+        for name, dimension in sorted(names.items(), key=lambda item: -item[1])
+        if name in results.found
+    ]
+    return markdown(("values", *(each.name for each in results.sets)), rows)
+
+
+def _dimension_series(results: Results) -> dict[str, dict[int, list[float]]]:
+    names = {n: [f"dimension-{n}"] for n in DIMENSIONS}
+    names[RECIPE.dimension] = results.seeds(MAIN_TRUNK, "multi-constraint")
+    series = {
+        each.name: {n: results.precisions(names[n], each.name) for n in sorted(names)}
+        for each in results.sets
+    }
+    return {
+        name: {n: values for n, values in by_dimension.items() if values}
+        for name, by_dimension in series.items()
+        if any(by_dimension.values())
+    }
+
+
+def _budget_table(runs: Path) -> str:
+    rows = []
+    for planned in planned_trainings():
+        log = read_log(planned.folder(runs) / LOG_NAME)
+        if planned.is_start or not log:
+            continue
+        size = "{}x{}".format(*planned.plan.size or ("", ""))
+        minutes = log[-1].elapsed_s / 60
+        cut = planned.plan.block or "whole"
+        rows.append((planned.name, cut, size, str(log[-1].step), f"{minutes:.1f}"))
+    return markdown(("training", "trunk up to", "pixels", "steps", "minutes"), rows, names=3)
+
+
+def _precisions(results: Results, name: str) -> Sequence[str]:
+    return [spread(results.precisions([name], each.name)) for each in results.sets]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    models = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor()
+
+
+def _version(name: str) -> str:
+    if name == "python":
+        return platform.python_version()
+    try:
+        return version(name)
+    except PackageNotFoundError:  # another build of OpenCV
+        return "unknown"

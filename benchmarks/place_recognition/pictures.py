@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of the page, as files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from benchmarks.place_recognition.measured import Measured
+from benchmarks.place_recognition.sets import EvaluationSet
+from placerec.cost import Cost
+from placerec.datasets import PlaceDataset
+from placerec.evaluation import Similarities, best_match_curve, best_matches, pair_curve
+from placerec.figures import (
+    bars,
+    dimension_comparison,
+    heat_maps,
+    png,
+    precision_recall,
+    recognised_places,
+    svg,
+)
+from placerec.output_file import write_atomically
+
+PAPERS_EXTRACTION_MS = {"AlexNet, per pair of images": 22.0}
+PAPERS_COMPARISON_MS = {"4096 values": 0.0189}
+PAPERS_BYTES = {"1000 values": 4.0 * 1000, "4096 values": 4.0 * 4096}
+"""The paper's dimensions in single precision; its figures name no other numbers in the text."""
+
+
+class Pictures:
+    """Draws figures into a folder; each method returns the files' names."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def curves(self, each: EvaluationSet, methods: Mapping[str, Measured]) -> list[str]:
+        """Draw precision over recall of all pairs and of best matches (Figures 5 to 8)."""
+        # One dataset stands for a set of several: their curves cannot be averaged.
+        dataset = each.datasets[0]
+        found = {name: m.similarities[dataset.name] for name, m in methods.items()}
+        title = each.name if len(each.datasets) == 1 else f"{each.name}: {dataset.name}"
+        pairs = {name: pair_curve(values, dataset) for name, values in found.items()}
+        best = {name: best_match_curve(values, dataset) for name, values in found.items()}
+        return [
+            self._png(f"pairs-{each.slug}", precision_recall(pairs, f"{title}, all pairs")),
+            self._png(f"best-{each.slug}", precision_recall(best, f"{title}, best matches")),
+        ]
+
+    def distances(self, dataset: PlaceDataset, methods: Mapping[str, Similarities]) -> str:
+        """Draw distances beside the truth (Figure 11)."""
+        return self._png(f"distances-{dataset.name}", heat_maps(dataset, methods, columns=2))
+
+    def dimensions(self, series: Mapping[str, Mapping[int, list[float]]]) -> str:
+        """Draw average precision over the dimension (Figure 12)."""
+        return self._svg("dimensions", dimension_comparison(series))
+
+    def costs(self, costs: Mapping[str, Cost]) -> list[str]:
+        """Draw what embedding, comparing and keeping take (Figures 13 to 15)."""
+        embed = {name: cost.embed_ms for name, cost in costs.items()}
+        compare = {name: cost.compare_ms for name, cost in costs.items()}
+        size = {name: float(cost.embedding_bytes) for name, cost in costs.items()}
+        return [
+            self._svg("extraction", bars(embed, "ms per image", PAPERS_EXTRACTION_MS)),
+            self._svg("comparison", bars(compare, "ms per comparison", PAPERS_COMPARISON_MS)),
+            self._svg("sizes", bars(size, "bytes per image", PAPERS_BYTES)),
+        ]
+
+    def way(self, name: str, dataset: PlaceDataset, similarities: Similarities) -> str:
+        """Draw the recognised places on the way (Figure 9), at the threshold of most recall."""
+        curve = best_match_curve(similarities, dataset)
+        matches = best_matches(similarities, dataset)
+        figure = recognised_places(dataset, matches, curve.balanced_threshold, name)
+        return self._svg(f"way-{name.split(',')[0].replace(' ', '_')}", figure)
+
+    def _svg(self, name: str, figure: Figure) -> str:
+        write_atomically(self._folder / f"{name}.svg", svg(figure))
+        return f"{name}.svg"
+
+    def _png(self, name: str, figure: Figure) -> str:
+        write_atomically(self._folder / f"{name}.png", png(figure))
+        return f"{name}.png"

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks.place_recognition.trainings import (
+    LOSSES,
+    SEEDS,
+    TRUNK_PLANS,
+    compared_name,
+    planned_trainings,
+    share,
+)
+from placerec.networks import TRUNKS
+
+PLANNED = {each.name: each for each in planned_trainings()}
+
+
+def test_every_training_has_a_name_and_a_folder_of_its_own():
+    assert len(PLANNED) == len(planned_trainings())
+    assert len({each.folder(Path()) for each in PLANNED.values()}) == len(PLANNED)
+
+
+@pytest.mark.parametrize("trunk", TRUNKS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_compared_trainings_differ_in_the_loss_alone(trunk: str, seed: int):
+    ours, theirs = (PLANNED[compared_name(trunk, loss, seed)].plan for loss in LOSSES)
+    assert replace(ours, loss="triplet") == theirs != ours
+    assert (ours.trunk, ours.seed) == (trunk, seed)
+
+
+@pytest.mark.parametrize("trunk", TRUNKS)
+def test_cut_trunks_can_be_built(trunk: str):
+    block = TRUNK_PLANS[trunk].block
+    assert block is None or TRUNKS[trunk].layer_count(block)
+
+
+def test_another_plan_of_the_same_name_is_not_taken_for_done(tmp_path: Path):
+    first = planned_trainings()[0]
+    first.folder(tmp_path).mkdir()
+    first.weights(tmp_path).touch()
+    other = replace(first, plan=replace(first.plan, steps=7))
+    assert first.weights(tmp_path).exists()
+    assert not other.weights(tmp_path).exists()
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3])
+def test_parts_share_all_trainings_among_them(parts: int):
+    planned = planned_trainings()
+    shared = [each for part in range(parts) for each in share(planned, part + 1, parts)]
+    assert sorted(each.name for each in shared) == sorted(PLANNED)
