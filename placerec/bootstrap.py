@@ -78,24 +78,26 @@ class _Pairs:
         values, rows, columns = values[order], rows[order], columns[order]
         self._queries, self._references = dataset.queries[rows], dataset.references[columns]
         self._within = np.flatnonzero(unit[self._queries] == unit[self._references])
-        # Equal similarities pass a threshold together.
-        self._starts = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
         self._right = np.flatnonzero(dataset.same_place[rows, columns])
-        self._level = np.searchsorted(self._starts, self._right, side="right") - 1
+        # Equal similarities pass a threshold together: each right pair counts with the last of
+        # those that are as similar.
+        last = np.flatnonzero(np.append(values[1:] != values[:-1], True))
+        ends = last[np.searchsorted(last, self._right)]
+        self._ends, self._step = np.unique(ends, return_inverse=True)
 
     def average_precision(self, drawn: Counts) -> float:
         """Return it with each pair as often as its images are drawn; NaN if no right one is."""
-        weights = drawn[self._queries] * drawn[self._references]
+        weights = drawn.take(self._queries) * drawn.take(self._references)
         weights[self._within] = drawn[self._queries[self._within]]
         right = weights[self._right]
         total = int(right.sum())
         if total == 0:
             return float("nan")
-        recognised = np.cumsum(np.add.reduceat(weights, self._starts))
-        per_level = np.bincount(self._level, right, len(self._starts))
-        present = per_level > 0
-        precision = np.cumsum(per_level)[present] / recognised[present]
-        return float(per_level[present] @ precision) / total
+        recognised = np.cumsum(weights)[self._ends]
+        gains = np.bincount(self._step, right, len(self._ends))
+        drawn_steps = gains > 0
+        precision = np.cumsum(gains)[drawn_steps] / recognised[drawn_steps]
+        return float(gains[drawn_steps] @ precision) / total
 
 
 def _recall(best: BestMatches, revisits: NDArray[np.bool_], drawn: Counts) -> float:

@@ -83,7 +83,8 @@ def test_leaves_weights_that_recognise_a_log_and_its_plot(tower, tmp_path, capsy
     assert [record.step for record in read_log(out / "log.csv")] == [1, 2, 3, 4, 5, 6]
     weights = out / "weights.safetensors"
     assert LearnedRecognizer(weights).embed(open_dataset(str(tower))[0]).shape == (8,)
-    assert main(["evaluate", str(tower), "--recognizers", str(weights)]) == 0
+    apart = ["--out", str(tmp_path / "evaluation"), "--no-cache"]
+    assert main(["evaluate", str(tower), "--recognizers", str(weights), *apart]) == 0
     assert f"| tower:test | {weights} |" in capsys.readouterr().out
 
 
