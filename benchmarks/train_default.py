@@ -14,8 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from placerec import embedding
-from placerec.certificate import certificate_path
+from placerec.embedding import DEFAULT_WEIGHTS
 from placerec.training_run import WEIGHTS_NAME
 
 ROOT = Path(__file__).parents[1]
@@ -55,12 +54,10 @@ def main() -> int:
             images.append(options.ie_tower)
             _run("-m", "placerec.cli", "train", *images, *out, *NETWORK, *LEARNING, *stage)
         weights = folder / WEIGHTS_NAME
+    if options.ship:
+        weights = Path(shutil.copy(weights, DEFAULT_WEIGHTS))
     validation = f"{options.ie_tower}:validation"
     _run("-m", "placerec.cli", "calibrate", validation, "--recognizer", weights)
-    if options.ship:
-        embedding.DEFAULT_WEIGHTS.parent.mkdir(exist_ok=True)
-        shutil.copy(weights, embedding.DEFAULT_WEIGHTS)
-        shutil.copy(certificate_path(weights), certificate_path(embedding.DEFAULT_WEIGHTS))
     return 0
 
 

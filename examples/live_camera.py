@@ -139,7 +139,7 @@ def recorded(frames: Iterable[Frame], camera: Camera, folder: Path) -> Iterator[
 
 def run(camera: Camera, frames: Iterable[Frame]) -> SlamResult:
     """Track frame by frame until there are no more, or Ctrl-C, and print what becomes of them."""
-    slam = Slam(camera, load("gradients"))
+    slam = Slam(camera, load("learned"))
     is_lost = False
     with deferred_interrupts() as interrupted:  # Ctrl-C waits for the frame to be finished
         for frame in frames:

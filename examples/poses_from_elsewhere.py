@@ -35,7 +35,7 @@ CONFIG = Config(
 
 def close_loops(sequence: Sequence, odometry: Trajectory) -> SlamResult:
     """Hand every keyframe with its odometry pose to `Slam`, and let it correct them."""
-    slam = Slam(sequence.camera, load("gradients"), CONFIG)
+    slam = Slam(sequence.camera, load("learned"), CONFIG)
     for image, T_odom_cam in keyframes(sequence, odometry):
         slam.add_keyframe(sequence.frame(image), T_odom_cam)
     return slam.finish()

@@ -10,7 +10,7 @@ import tyro
 
 from slam.config import Config, load_config
 
-DEFAULT_RECOGNIZER = "gradients"
+DEFAULT_RECOGNIZER = "learned"
 
 _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
 

@@ -12,6 +12,7 @@ from jinja2 import Environment, StrictUndefined
 
 from benchmarks.place_recognition.checks import checks, checks_table
 from benchmarks.place_recognition.costs import measure_costs
+from benchmarks.place_recognition.near_misses import near_misses_table
 from benchmarks.place_recognition.pictures import Pictures
 from benchmarks.place_recognition.results import DEFAULT, GRADIENTS, Results, collect
 from benchmarks.place_recognition.sets import open_sets
@@ -96,6 +97,10 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
         "curves": {each.name: pictures.curves(each, methods) for each in results.sets},
         "distances": pictures.distances(
             desk, {title: each.similarities[desk.name] for title, each in methods.items()}
+        ),
+        "near_misses": near_misses_table(
+            desk.paths[0].parents[1],
+            {title: each.similarities[desk.name] for title, each in methods.items()},
         ),
         "ways": [pictures.way(t, desk, methods[t].similarities[desk.name]) for t in ways],
         "dimension_figure": pictures.dimensions(_dimension_series(results)),

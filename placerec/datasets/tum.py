@@ -42,7 +42,7 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
     Raises:
         RecognizerError: a list cannot be used, no frame has a true pose, or most images are broken.
     """
-    recording = _read_recording(folder, stride)
+    recording = read_recording(folder, stride)
     distance = pose_distance(recording.positions_m, recording.quaternions)
     everyone = np.arange(len(recording.paths))
     apart_s = np.abs(recording.timestamps_s[:, None] - recording.timestamps_s)
@@ -70,7 +70,7 @@ def read_tum_sessions(
     Raises:
         RecognizerError: as for one recording.
     """
-    sessions = [_read_recording(folder, stride) for folder in (query_folder, reference_folder)]
+    sessions = [read_recording(folder, stride) for folder in (query_folder, reference_folder)]
     timestamps_s, paths, positions_m, quaternions = zip(*sessions, strict=True)
     everywhere_m = np.concatenate(positions_m)
     distance = pose_distance(everywhere_m, np.concatenate(quaternions))
@@ -90,7 +90,12 @@ def read_tum_sessions(
     return keep_readable(dataset)
 
 
-def _read_recording(folder: Path, stride: int) -> Recording:
+def read_recording(folder: Path, stride: int) -> Recording:
+    """Return the used frames of a recording: those with a true pose, every so many of a video.
+
+    Raises:
+        RecognizerError: a list cannot be used, or no frame has a true pose.
+    """
     frames_s, paths = _read_frames(folder / "rgb.txt")
     truth_s, positions_m, quaternions = _read_truth(folder / "groundtruth.txt")
     nearest = _nearest(frames_s, truth_s)

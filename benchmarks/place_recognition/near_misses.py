@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far away the wrong best matches are: beside the place, or somewhere else."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.place_recognition.tables import markdown
+from placerec.datasets.tum import MAX_DISTANCE, MIN_GAP_S, STRIDE, pose_distance, read_recording
+from placerec.evaluation import Similarities
+
+SUREST = 20
+FAR = 1.0
+
+
+def near_misses_table(recording: Path, similarities: Mapping[str, Similarities]) -> str:
+    """Return, by method, how far wrong best matches are, in metres plus radians (eq. 10).
+
+    Args:
+        recording: folder in TUM RGB-D's format.
+        similarities: by method, (N, N) between its frames, which only count where comparable.
+    """
+    frames = read_recording(recording, STRIDE)
+    distance = pose_distance(frames.positions_m, frames.quaternions)
+    apart_s = np.abs(frames.timestamps_s[:, None] - frames.timestamps_s)
+    comparable = apart_s > MIN_GAP_S
+    has_match = ((distance < MAX_DISTANCE) & comparable).any(axis=1)
+    rows = []
+    for method, values in similarities.items():
+        counted = np.where(comparable, values, -np.inf)
+        best = counted.argmax(axis=1)
+        reached = distance[np.arange(len(best)), best]
+        wrong = np.flatnonzero(reached >= MAX_DISTANCE)
+        surest = reached[wrong[np.argsort(-counted.max(axis=1)[wrong], kind="stable")][:SUREST]]
+        missed = reached[(reached >= MAX_DISTANCE) & has_match]
+        rows.append(
+            (
+                method,
+                f"{surest.min():.2f} to {surest.max():.2f}",
+                f"{len(missed)} of {has_match.sum()}",
+                f"{np.median(missed):.2f}",
+                f"{100 * np.mean(missed < FAR):.0f} %",
+            )
+        )
+    surest_title = f"the {SUREST} surest wrong matches are this far away"
+    header = (
+        "",
+        surest_title,
+        "places missed",
+        "median distance of what was taken",
+        f"below {FAR:g}",
+    )
+    return markdown(header, rows)
