@@ -3,7 +3,7 @@
 
 import sys
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,7 +56,9 @@ def _run(arguments: Arguments) -> None:
     stopped = _process(slam, sequence)
     if stopped and not slam.has_keyframes:
         raise stopped
-    with deferred_interrupts():  # what was done is worth the seconds that writing it takes
+    # What was done is worth the seconds that writing it takes, but to one who asks again.
+    is_second = isinstance(stopped, KeyboardInterrupt)
+    with nullcontext() if is_second else deferred_interrupts():
         result = slam.finish()
         drift, doubts = _judge(result, sequence, arguments)
         if stopped:

@@ -2,8 +2,7 @@
 """Robust least squares for the rigid motion between two views with depth.
 
 Each match is measured twice: the reference's point as the query should see it, and the query's
-point as the reference should see it. A view measures pixel u, pixel v and disparity
-`baseline * fx / depth`, in which a structured-light camera's noise is constant.
+point as the reference should see it.
 """
 
 from dataclasses import dataclass
@@ -12,13 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam import se3
-from slam.config import PYRAMID_SCALE
+from slam.measurement import Measurements, robust
 from slam.types import Camera, Features, FloatArray
 
-_PIXEL_SIGMA_PX = 1.0  # on the finest pyramid level
-_BASELINE_M = 0.075  # of the Kinect
-_DISPARITY_SIGMA_PX = 0.5
-_HUBER = 1.0  # whitened length from which a residual's pull stops growing
 _MAX_STEPS = 8
 _SMALL_STEP = 1e-6
 
@@ -28,8 +23,7 @@ class _View:
     """One direction: points of the other camera, and where this one saw them."""
 
     points_other_m: FloatArray  # (M, 3), NaN where the other camera has no depth
-    measured: FloatArray  # (M, 3) u px, v px, disparity px (NaN where this one has no depth)
-    sigma: FloatArray  # (M, 3)
+    measured: Measurements
 
     @staticmethod
     def of(
@@ -39,28 +33,19 @@ class _View:
         this_index: NDArray[np.int64],
         camera: Camera,
     ) -> "_View":
-        disparity_px = _BASELINE_M * camera.fx / this.depth_m[this_index]
-        pixel_sigma = _PIXEL_SIGMA_PX * PYRAMID_SCALE ** this.octaves[this_index]
-        disparity_sigma = np.full(len(this_index), _DISPARITY_SIGMA_PX)
-        return _View(
-            points_other_m=other.points_m[other_index],
-            measured=np.column_stack([this.undistorted_px[this_index], disparity_px]),
-            sigma=np.column_stack([pixel_sigma, pixel_sigma, disparity_sigma]),
-        )
+        measured = Measurements.of(this, this_index, camera)
+        return _View(other.points_m[other_index], measured)
 
     def select(self, mask: NDArray[np.bool_]) -> "_View":
-        return _View(self.points_other_m[mask], self.measured[mask], self.sigma[mask])
+        return _View(self.points_other_m[mask], self.measured.select(mask))
 
     def residuals(
         self, T_this_other: FloatArray, camera: Camera
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return whitened residuals (M, 3), their derivative (M, 3, 3) by the point, the points."""
         points_m = se3.transform(T_this_other, self.points_other_m)
-        seen, derivative = _project(points_m, camera)
-        residuals = (seen - self.measured) / self.sigma
-        known = np.isfinite(residuals)
-        derivative = np.where(known[:, :, None], derivative / self.sigma[:, :, None], 0.0)
-        return np.where(known, residuals, 0.0), derivative, points_m
+        residuals, derivative = self.measured.residuals(points_m, camera)
+        return residuals, derivative, points_m
 
 
 @dataclass(frozen=True)
@@ -105,13 +90,13 @@ def refine(
 def residual_lengths(
     T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
 ) -> FloatArray:
-    """Return (M,) lengths of the whitened residuals in the query's image, in standard deviations.
+    """Return (M,) lengths of the whitened pixel residuals in the query's image.
 
     On the finest pyramid level one standard deviation is one pixel.
     """
     T_query_ref = se3.inverse(T_ref_query)
     residuals, _, points_m = correspondences.query_view.residuals(T_query_ref, camera)
-    return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals, axis=1), np.inf)
+    return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals[:, :2], axis=1), np.inf)
 
 
 def _normal_equations(
@@ -123,12 +108,12 @@ def _normal_equations(
 
     # p_query = exp(-xi) T_query_ref p_ref, so d p_query = p_query x omega - v
     residuals, by_point, points_m = query.residuals(T_query_ref, camera)
-    J = _chain(by_point, _skews(points_m), -np.eye(3))
+    J = _chain(by_point, se3.skews(points_m), -np.eye(3))
     hessian, gradient = _weighted(residuals, J)
 
     # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
     residuals, by_point, _ = reference.residuals(T_ref_query, camera)
-    J = _chain(by_point, -R_ref_query @ _skews(reference.points_other_m), R_ref_query)
+    J = _chain(by_point, -R_ref_query @ se3.skews(reference.points_other_m), R_ref_query)
     more_hessian, more_gradient = _weighted(residuals, J)
     # A trace of curvature keeps the step finite where few matches leave a direction open.
     return hessian + more_hessian + 1e-6 * np.eye(6), gradient + more_gradient
@@ -140,32 +125,7 @@ def _chain(by_point: FloatArray, by_omega: FloatArray, by_v: FloatArray) -> Floa
 
 
 def _weighted(residuals: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
-    lengths = np.linalg.norm(residuals, axis=1)
-    weights = np.minimum(1.0, _HUBER / np.maximum(lengths, 1e-12))  # Huber's
+    _, weights = robust(residuals)
     flat_J = J.reshape(-1, 6)
-    weighted_J = (weights[:, None, None] * J).reshape(-1, 6)
+    weighted_J = (weights[:, :, None] * J).reshape(-1, 6)
     return weighted_J.T @ flat_J, weighted_J.T @ residuals.ravel()
-
-
-def _project(points_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    inverse_z = 1.0 / points_m[:, 2]
-    x, y = points_m[:, 0] * inverse_z, points_m[:, 1] * inverse_z
-    baseline_fx = _BASELINE_M * camera.fx
-    seen = np.column_stack(
-        [camera.fx * x + camera.cx, camera.fy * y + camera.cy, baseline_fx * inverse_z]
-    )
-    derivative = np.zeros((len(points_m), 3, 3))
-    derivative[:, 0, 0] = camera.fx * inverse_z
-    derivative[:, 0, 2] = -camera.fx * x * inverse_z
-    derivative[:, 1, 1] = camera.fy * inverse_z
-    derivative[:, 1, 2] = -camera.fy * y * inverse_z
-    derivative[:, 2, 2] = -baseline_fx * inverse_z**2
-    return seen, derivative
-
-
-def _skews(vectors: FloatArray) -> FloatArray:
-    x, y, z = vectors.T
-    skews = np.zeros((len(vectors), 3, 3))
-    skews[:, 0, 1], skews[:, 0, 2], skews[:, 1, 2] = -z, y, -x
-    skews[:, 1, 0], skews[:, 2, 0], skews[:, 2, 1] = z, -y, x
-    return skews

@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RGB-D odometry: every frame is placed against the last keyframe."""
+"""RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam import se3
-from slam.config import Config, VerificationConfig
+from slam.config import Config
 from slam.features import FeatureExtractor
+from slam.guided_search import FeatureGrid
+from slam.landmark_map import LandmarkMap, empty_pairs
+from slam.landmarks import UNSEEN, IntArray
+from slam.local_map import LocalMap
+from slam.placement import Placement, View, agreed_pose, look_around
 from slam.preview import preview
-from slam.relative_pose import allow_for_turning, estimate_relative_pose
+from slam.relative_pose import (
+    allow_for_turning,
+    estimate_relative_pose,
+    measure_relative_pose,
+    with_floor,
+)
 from slam.types import (
     Camera,
-    Features,
     FloatArray,
     Frame,
     Keyframe,
@@ -21,8 +29,10 @@ from slam.types import (
     Rejection,
     RejectionReason,
     RelativePose,
-    Verification,
 )
+
+# How far from its place a landmark is looked for, in pixels of the finest level.
+_PREDICTED_RADII_PX = (15.0, 40.0)  # where the last motion should have gone on; then wider
 
 
 @dataclass(frozen=True)
@@ -59,101 +69,129 @@ class RgbdOdometry:
             }
         )
         self._extractor = FeatureExtractor(camera, config.features)
+        self._local_map = LocalMap(camera, config)
         self._recent: list[Keyframe] = []
-        self._full_inliers = 0  # the most seen against the last keyframe
-        self._last_s, self._T_odom_last = 0.0, np.eye(4)
+        self._most_shared = 0  # landmarks that a frame had in common with the last keyframe
+        self._last_s = 0.0
+        self._T_odom_last = np.eye(4)
+        self._T_last_next = np.eye(4)  # the last motion, which should go on
+        self._last_ids: IntArray = np.zeros(0, dtype=np.int64)
+
+    @property
+    def map(self) -> LandmarkMap:
+        """All keyframes and landmarks so far, in the odometry's frame."""
+        return self._local_map.whole
 
     def track(self, frame: Frame) -> TrackedFrame | Rejection:
         """Place a frame, or say why it cannot be placed; later frames are tried all the same."""
         features = self._extractor.extract(frame)
+        view = View(frame, features, FeatureGrid(features, self._camera))
         if not self._recent:
-            return self._start(frame, features)
-        rejection: Rejection | None = None
-        for keyframe in reversed(self._recent):
-            found = self._estimate(keyframe, features, self._tracking_config)
-            if isinstance(found.outcome, RelativePose):
-                return self._place(frame, features, keyframe, found.outcome, found.inlier_mask)
-            rejection = rejection or found.outcome
-        assert rejection is not None
-        return rejection
+            return self._start(view)
+        placement = self._follow(view)
+        if isinstance(placement, Rejection):
+            placement = self._recover(view)
+        if isinstance(placement, Rejection):
+            return placement
+        return self._go_on(view, placement)
 
-    def _start(self, frame: Frame, features: Features) -> TrackedFrame | Rejection:
-        with_depth, needed = int(np.count_nonzero(features.depth_m > 0.0)), self._config.min_inliers
+    def _start(self, view: View) -> TrackedFrame | Rejection:
+        has_depth = np.isfinite(view.features.depth_m)
+        with_depth, needed = int(np.count_nonzero(has_depth)), self._tracking_config.min_matches
         if with_depth < needed:
             return Rejection(RejectionReason.FEW_MATCHES, with_depth, needed)
-        keyframe = Keyframe(0, frame.timestamp_s, np.eye(4), features, preview(frame))
-        self._remember(keyframe)
-        return TrackedFrame(keyframe.id, np.eye(4), keyframe)
+        here = Placement(np.eye(4), empty_pairs(), np.zeros((6, 6)))
+        return TrackedFrame(0, np.eye(4), self._insert(view, here, turning_rad_s=0.0))
 
-    def _place(
-        self,
-        frame: Frame,
-        features: Features,
-        reference: Keyframe,
-        motion: RelativePose,
-        inlier_mask: NDArray[np.bool_],
-    ) -> TrackedFrame:
-        T_odom_cam = reference.T_odom_cam @ motion.T_ref_query
-        turned_rad = float(se3.rotation_angle(se3.inverse(self._T_odom_last) @ T_odom_cam))
-        turning_rad_s = turned_rad / (frame.timestamp_s - self._last_s)
-        self._last_s, self._T_odom_last = frame.timestamp_s, T_odom_cam
-        inliers = int(np.count_nonzero(inlier_mask))
-        self._full_inliers = max(self._full_inliers, inliers)
-        if not self._needs_keyframe(motion.T_ref_query, inliers):
-            return TrackedFrame(reference.id, motion.T_ref_query)
-        new_id = self._recent[-1].id + 1
-        links = self._links(reference, motion, features, new_id, turning_rad_s)
-        keyframe = Keyframe(
-            new_id, frame.timestamp_s, self._fuse(links), features, preview(frame), turning_rad_s
-        )
-        self._remember(keyframe)
-        return TrackedFrame(reference.id, motion.T_ref_query, keyframe, links)
+    def _follow(self, view: View) -> Placement | Rejection:
+        """Look for what the last frame saw where it should be by now, then for all around it."""
+        T_predicted = self._T_odom_last @ self._T_last_next
+        last_ids = self.map.landmarks.resolve(self._last_ids)
+        last_ids = np.unique(last_ids[last_ids != UNSEEN])
+        for radius_px in _PREDICTED_RADII_PX:
+            pairs = self.map.search(view.grid, T_predicted, last_ids, radius_px)
+            agreed = agreed_pose(self.map, view, pairs, self._tracking_config)
+            if not isinstance(agreed, Rejection):
+                nearby_ids = self._local_map.nearby_ids
+                return look_around(self.map, view, agreed, nearby_ids, self._tracking_config)
+            rejection = agreed
+        return rejection
 
-    def _needs_keyframe(self, T_ref_cam: FloatArray, inliers: int) -> bool:
+    def _recover(self, view: View) -> Placement | Rejection:
+        """Compare the view with all features of the last keyframes, wherever it may be."""
+        rejections = []
+        for keyframe in reversed(self._recent):
+            outcome = estimate_relative_pose(
+                keyframe.features, view.features, self._camera, self._tracking_config
+            ).outcome
+            if isinstance(outcome, Rejection):
+                rejections.append(outcome)
+                continue
+            T_odom_cam = self.map.keyframes[keyframe.id].T_map_cam @ outcome.T_ref_query
+            seen_ids = self.map.seen_by([keyframe.id])
+            placement = look_around(self.map, view, T_odom_cam, seen_ids, self._tracking_config)
+            if isinstance(placement, Placement):
+                return placement
+            rejections.append(placement)
+        return rejections[0]
+
+    def _go_on(self, view: View, placement: Placement) -> TrackedFrame:
+        """Remember where the camera is and how it moves; make the view a keyframe if need be."""
+        reference = self._recent[-1]
+        T_last_cam = se3.inverse(self._T_odom_last) @ placement.T_map_cam
+        elapsed_s = view.frame.timestamp_s - self._last_s
+        turning_rad_s = float(se3.rotation_angle(T_last_cam)) / elapsed_s
+        self._last_s, self._last_ids = view.frame.timestamp_s, placement.pairs[:, 0]
+        self._T_odom_last, self._T_last_next = placement.T_map_cam, T_last_cam
+        T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ placement.T_map_cam
+        if not self._needs_keyframe(placement, T_kf_cam):
+            return TrackedFrame(reference.id, T_kf_cam)
+        keyframe = self._insert(view, placement, turning_rad_s)
+        T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ keyframe.T_odom_cam
+        links = self._links(keyframe, reference, with_floor(T_kf_cam, placement.hessian))
+        return TrackedFrame(reference.id, T_kf_cam, keyframe, links)
+
+    def _needs_keyframe(self, placement: Placement, T_ref_cam: FloatArray) -> bool:
+        seen_by_reference = self.map.seen_by([self._recent[-1].id])
+        shared = int(np.count_nonzero(np.isin(placement.pairs[:, 0], seen_by_reference)))
+        self._most_shared = max(self._most_shared, shared)
         return bool(
             se3.translation_norm(T_ref_cam) > self._config.keyframe_translation_m
             or np.degrees(se3.rotation_angle(T_ref_cam)) > self._config.keyframe_rotation_deg
-            or inliers < self._config.keyframe_inlier_share * self._full_inliers
+            or shared < self._config.keyframe_inlier_share * self._most_shared
         )
 
-    def _links(
-        self,
-        reference: Keyframe,
-        motion: RelativePose,
-        features: Features,
-        new_id: int,
-        turning_rad_s: float,
-    ) -> tuple[Link, ...]:
-        """Tie a new keyframe to its reference and to the other recent ones that see the same."""
-        motions = {reference.id: (reference, motion)}
-        for earlier in reversed(self._recent):
-            if earlier.id != reference.id:
-                outcome = self._estimate(earlier, features, self._link_config).outcome
-                if isinstance(outcome, RelativePose):
-                    motions[earlier.id] = earlier, outcome
-        return tuple(
-            Link(earlier.id, new_id, allow_for_turning(seen, earlier.turning_rad_s, turning_rad_s))
-            for earlier, seen in motions.values()
+    def _insert(self, view: View, placement: Placement, turning_rad_s: float) -> Keyframe:
+        """Make a keyframe of the view, and go on from where the map then says it is."""
+        new_id = self._local_map.insert(
+            view.features, view.grid, placement.T_map_cam, placement.pairs
         )
-
-    def _fuse(self, links: tuple[Link, ...]) -> FloatArray:
-        """Return the new keyframe's T_odom_cam: the mean of what its links say, by information."""
-        T_odom_kf = {keyframe.id: keyframe.T_odom_cam for keyframe in self._recent}
-        T_odom_cam = T_odom_kf[links[0].ref_id] @ links[0].motion.T_ref_query
-        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-        for link in links:
-            T_odom_said = T_odom_kf[link.ref_id] @ link.motion.T_ref_query
-            hessian += link.motion.information
-            gradient += link.motion.information @ se3.log(se3.inverse(T_odom_cam) @ T_odom_said)
-        step = np.asarray(np.linalg.solve(hessian, gradient), dtype=np.float64)
-        return T_odom_cam @ se3.exp(step)
-
-    def _estimate(
-        self, reference: Keyframe, features: Features, config: VerificationConfig
-    ) -> Verification:
-        return estimate_relative_pose(reference.features, features, self._camera, config)
-
-    def _remember(self, keyframe: Keyframe) -> None:
+        self._T_odom_last = self.map.keyframes[new_id].T_map_cam
+        self._last_s, self._last_ids = view.frame.timestamp_s, self.map.seen_by([new_id])
+        self._most_shared = 0
+        keyframe = Keyframe(
+            id=new_id,
+            timestamp_s=view.frame.timestamp_s,
+            T_odom_cam=self._T_odom_last,
+            features=view.features,
+            preview=preview(view.frame),
+            turning_rad_s=turning_rad_s,
+        )
         self._recent = [*self._recent, keyframe][-1 - self._config.links :]
-        self._full_inliers = 0
-        self._last_s, self._T_odom_last = keyframe.timestamp_s, keyframe.T_odom_cam
+        return keyframe
+
+    def _links(self, new: Keyframe, reference: Keyframe, motion: RelativePose) -> tuple[Link, ...]:
+        """Tie a new keyframe to its reference and to the other recent ones that see the same."""
+        motions = [(reference, motion)]
+        for earlier in reversed(self._recent[:-1]):
+            if earlier.id != reference.id:
+                pairs = self.map.shared_features(earlier.id, new.id)
+                measured = measure_relative_pose(
+                    earlier.features, new.features, pairs, self._camera, self._link_config
+                )
+                if isinstance(measured.outcome, RelativePose):
+                    motions.append((earlier, measured.outcome))
+        return tuple(
+            Link(each.id, new.id, allow_for_turning(seen, each.turning_rad_s, new.turning_rad_s))
+            for each, seen in motions
+        )

@@ -41,6 +41,17 @@ def estimate_relative_pose(
     least-squares refinement over both views' pixels and depths polishes it.
     """
     pairs = match(reference, query, config.max_descriptor_distance)
+    return measure_relative_pose(reference, query, pairs, camera, config)
+
+
+def measure_relative_pose(
+    reference: Features,
+    query: Features,
+    pairs: NDArray[np.int64],
+    camera: Camera,
+    config: VerificationConfig,
+) -> Verification:
+    """Return the same from (M, 2) index pairs of features that are already matched."""
     pairs = pairs[np.isfinite(reference.depth_m[pairs[:, 0]])]
     estimate = _estimate(reference, query, pairs, camera, config)
     inlier_mask = np.zeros(len(pairs), dtype=bool)
@@ -73,7 +84,7 @@ def _estimate(
     if len(pairs) < needed:
         return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed)
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
-    found = _ransac(points_m, pixels, camera, config)
+    found = pose_by_ransac(points_m, pixels, camera, config)
     if found is None:
         return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers)
     T_ref_query, inlier_mask = found
@@ -89,9 +100,10 @@ def _estimate(
     return _Estimate(T_ref_query, hessian, inlier_mask)
 
 
-def _ransac(
+def pose_by_ransac(
     points_ref_m: FloatArray, query_px: FloatArray, camera: Camera, config: VerificationConfig
 ) -> tuple[FloatArray, NDArray[np.bool_]] | None:
+    """Return T_ref_query of the four matches that most agree with, and the (M,) mask of those."""
     cv2.setRNGSeed(0)
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         points_ref_m,
@@ -128,8 +140,13 @@ def _judge(
     support = float(extent[0] * extent[1]) / (camera.width * camera.height)
     if support < config.min_support:
         return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
-    information = _add_noise(estimate.hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M)
-    return RelativePose(estimate.T_ref_query, information)
+    return with_floor(estimate.T_ref_query, estimate.hessian)
+
+
+def with_floor(T_ref_query: FloatArray, hessian: FloatArray) -> RelativePose:
+    """Return the motion with a (6, 6) Hessian for information, less what repeats differ by."""
+    information = _add_noise(hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M)
+    return RelativePose(T_ref_query, information)
 
 
 def allow_for_turning(motion: RelativePose, *turning_rad_s: float) -> RelativePose:

@@ -42,6 +42,15 @@ def skew(v: Array) -> Array:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
+def skews(vectors: Array) -> Array:
+    """Return (N, 3, 3), the matrices of the cross products with (N, 3) vectors."""
+    x, y, z = vectors.T
+    matrices = np.zeros((len(vectors), 3, 3))
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices
+
+
 def exp(tangent: Array) -> Array:
     """Return the (4, 4) transform of a (6,) tangent [rotation rad; translation m]."""
     omega, v = tangent[:3], tangent[3:]

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from placerec.recognizer import PlaceRecognizer
+from placerec.recognizer import PlaceRecognizer, RecognizerError
 from slam import se3
+from slam.back_end import BackEnd, ClosedLoops
 from slam.config import Config
 from slam.features import FeatureExtractor
-from slam.loop_closure import LoopCloser
+from slam.final_map import closed_map
 from slam.odometry import RgbdOdometry, TrackedFrame
-from slam.pose_graph import PoseGraph
 from slam.preview import preview
 from slam.stage_clock import StageClock
 from slam.types import (
@@ -53,30 +53,26 @@ class Slam:
         self._config = config or Config()
         self._odometry = RgbdOdometry(camera, self._config)
         self._extractor = FeatureExtractor(camera, self._config.features)
-        self._loop_closer = LoopCloser(
-            camera, recognizer, self._config.loop, self._config.verification
-        )
-        self._graph = PoseGraph(self._config.graph)
-        self._keyframes: list[Keyframe] = []
-        self._links: list[Link] = []
-        self._attempts: list[LoopAttempt] = []
+        self.clock = StageClock()
+        self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
+        self._last: Keyframe | None = None
         self._rides: list[_Ride] = []
         self._untracked_s: list[float] = []
         self._last_s = -np.inf
         self._door = ""
-        self.clock = StageClock()
 
     @property
     def has_keyframes(self) -> bool:
         """Whether there is anything to finish."""
-        return bool(self._keyframes)
+        return not self._back_end.is_empty
 
     def process(self, frame: Frame) -> TrackedFrame | Rejection:
         """Take the next frame of the camera and return where it was placed, or why it was not.
 
         Raises:
             SlamError: the frame is not of the camera's size, or the time does not increase.
-            RecognizerError: the recognizer failed; what was done until then can be finished.
+            RecognizerError: the recognizer failed on the keyframe before; what was done until then
+                can be finished.
         """
         self._check_frame(frame)
         self._enter("process", frame)
@@ -85,12 +81,10 @@ class Slam:
         if isinstance(tracked, Rejection):
             self._untracked_s.append(frame.timestamp_s)
             return tracked
-        keyframe = tracked.new_keyframe
-        if keyframe is None:
-            ride = _Ride(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam)
-            self._rides.append(ride)
+        if tracked.new_keyframe is None:
+            self._rides.append(_Ride(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam))
         else:
-            self._insert(keyframe, tracked.links, frame)
+            self._insert(tracked.new_keyframe, tracked.links, frame)
         return tracked
 
     def add_keyframe(self, frame: Frame, T_odom_cam: FloatArray) -> tuple[LoopAttempt, ...]:
@@ -104,9 +98,9 @@ class Slam:
         T_odom_cam = _checked_pose(frame.timestamp_s, T_odom_cam)
         self._check_frame(frame)
         self._enter("add_keyframe", frame)
-        last = self._keyframes[-1] if self._keyframes else None
+        last = self._last
         keyframe = Keyframe(
-            id=len(self._keyframes),
+            id=last.id + 1 if last else 0,
             timestamp_s=frame.timestamp_s,
             T_odom_cam=T_odom_cam,
             features=self._extractor.extract(frame),
@@ -118,80 +112,83 @@ class Slam:
             T_last_cam = se3.inverse(last.T_odom_cam) @ T_odom_cam
             motion = RelativePose(T_last_cam, self._outside_information())
             links = (Link(last.id, keyframe.id, motion),)
-        return self._insert(keyframe, links, frame)
+        self._insert(keyframe, links, frame)
+        return self._back_end.settle()
 
-    def _insert(
-        self, keyframe: Keyframe, links: tuple[Link, ...], frame: Frame
-    ) -> tuple[LoopAttempt, ...]:
-        with self.clock.stage("describe"):
-            embedding = self._loop_closer.describe(frame.rgb)
-        with self.clock.stage("close loops"):
-            linked_ids = [link.ref_id for link in links]
-            attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
-        with self.clock.stage("graph"):
-            self._constrain(keyframe, links, attempts)
-        self._keyframes.append(keyframe)
-        self._links.extend(links)
-        self._attempts.extend(attempts)
+    def _insert(self, keyframe: Keyframe, links: tuple[Link, ...], frame: Frame) -> None:
+        self._back_end.insert(keyframe, links, frame.rgb)
+        self._last = keyframe
         self._rides.append(_Ride(frame.timestamp_s, keyframe.id, np.eye(4)))
-        return attempts
-
-    def _constrain(
-        self, keyframe: Keyframe, links: tuple[Link, ...], attempts: tuple[LoopAttempt, ...]
-    ) -> None:
-        T_world_kf = np.eye(4)
-        if links:
-            T_world_kf = self._graph.T_world_kf(links[0].ref_id) @ links[0].motion.T_ref_query
-        self._graph.add_keyframe(keyframe.id, T_world_kf)
-        for link in links:
-            self._graph.add_link(link)
-        for key, attempt in enumerate(attempts, start=len(self._attempts)):
-            if isinstance(attempt.outcome, RelativePose):
-                self._graph.add_loop(key, attempt.match_id, attempt.query_id, attempt.outcome)
-        self._graph.update()
 
     def finish(self) -> SlamResult:
-        """Solve the graph once more with all loops and return everything the run found out.
+        """Solve the graph with all loops, adjust the map to it, and return what the run found out.
 
         Raises:
             SlamError: no frame could be tracked.
+            RecognizerError: the recognizer failed on the only keyframe.
         """
-        if not self._keyframes:
+        failures = self._last_failure()
+        keyframes = tuple(self._back_end.keyframes)
+        if not keyframes:
             raise SlamError(
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        with self.clock.stage("graph"):
-            solution = self._graph.finish()
-        T_odom_kf = np.array([keyframe.T_odom_cam for keyframe in self._keyframes])
-        calibration = self._loop_closer.calibration()
+        loops = self._back_end.solve()
+        T_world_kf = loops.T_world_kf
+        if self._door == "process":
+            keyframes = self._where_tracking_put(keyframes)
+            with self.clock.stage("adjust"):
+                T_world_kf = self._adjusted(loops)
+        calibration = self._back_end.calibration()
         return SlamResult(
             camera=self._camera,
-            keyframes=tuple(self._keyframes),
-            T_world_kf=solution.T_world_kf,
-            odometry=self._trajectory(T_odom_kf),
-            trajectory=self._trajectory(solution.T_world_kf),
-            links=tuple(self._links),
-            attempts=tuple(
-                replace(attempt, weight=solution.weights.get(key))
-                for key, attempt in enumerate(self._attempts)
-            ),
-            similarities=self._loop_closer.similarities(),
-            min_similarity=self._loop_closer.min_similarity,
+            keyframes=keyframes,
+            T_world_kf=T_world_kf,
+            odometry=self._trajectory(np.array([each.T_odom_cam for each in keyframes])),
+            trajectory=self._trajectory(T_world_kf),
+            links=tuple(self._back_end.links),
+            attempts=loops.attempts,
+            similarities=self._back_end.similarities(),
+            min_similarity=self._back_end.min_similarity,
             untracked_s=np.array(self._untracked_s),
             stage_seconds=dict(self.clock.seconds),
             warnings=(
+                *failures,
                 *self._tracking_warnings(),
-                *solution.warnings,
+                *loops.warnings,
                 *(calibration.warnings if calibration else ()),
             ),
             calibration=calibration,
         )
 
+    def _last_failure(self) -> tuple[str, ...]:
+        try:
+            self._back_end.settle()
+        except RecognizerError as error:
+            if not self._back_end.keyframes:
+                raise
+            return (f"the last keyframe is left out: {error}",)
+        return ()
+
+    def _where_tracking_put(self, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
+        """Return the keyframes at their final places in the tracker's map, without any loop."""
+        mapped = self._odometry.map.keyframes[: len(keyframes)]
+        return tuple(
+            replace(keyframe, T_odom_cam=each.T_map_cam)
+            for keyframe, each in zip(keyframes, mapped, strict=True)
+        )
+
+    def _adjusted(self, loops: ClosedLoops) -> FloatArray:
+        T_world_kf = loops.T_world_kf
+        final = closed_map(self._odometry.map, T_world_kf, loops.trusted_pairs())
+        return np.array([each.T_map_cam for each in final.keyframes[: len(T_world_kf)]])
+
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
+        rides = [ride for ride in self._rides if ride.keyframe_id < len(T_any_kf)]
         return Trajectory(
-            timestamps_s=np.array([ride.timestamp_s for ride in self._rides]),
-            T_world_cam=np.array([T_any_kf[r.keyframe_id] @ r.T_kf_cam for r in self._rides]),
+            timestamps_s=np.array([ride.timestamp_s for ride in rides]),
+            T_world_cam=np.array([T_any_kf[ride.keyframe_id] @ ride.T_kf_cam for ride in rides]),
         )
 
     def _tracking_warnings(self) -> tuple[str, ...]:

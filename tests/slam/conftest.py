@@ -171,3 +171,34 @@ def _features(
         depth_m=depth_m,
         points_m=back_project(pixels, depth_m, camera),
     )
+
+
+class Scene(NamedTuple):
+    """Points in space, cameras that see all of them, and what each camera sees of them."""
+
+    points_m: FloatArray
+    T_world_cam: FloatArray
+    features: list[Features]
+    camera: Camera
+
+
+@pytest.fixture(scope="session")
+def make_scene() -> Callable[..., Scene]:
+    """Return a maker of scenes; feature i of every camera shows point i."""
+    return scene
+
+
+def scene(cameras: int = 5, count: int = 120, noise: float = 0.0, seed: int = 0) -> Scene:
+    """Look at points 2 to 3 m away from cameras in a row, 8 cm and 2 degrees apart."""
+    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    rng = np.random.default_rng(seed)
+    points_m = rng.uniform((-0.6, -0.6, 2.0), (0.6, 0.6, 3.0), (count, 3))
+    descriptors = rng.integers(0, 256, (count, 32), dtype=np.uint8)
+    steps = [np.array([0.0, -0.035 * i, 0.0, 0.08 * i, 0.01 * i, 0.0]) for i in range(cameras)]
+    T_world_cam = np.array([se3.exp(step) for step in steps])
+    features = []
+    for T in T_world_cam:
+        seen_m = se3.transform(se3.inverse(T), points_m)
+        pixels = camera.fx * seen_m[:, :2] / seen_m[:, 2:] + np.array([camera.cx, camera.cy])
+        features.append(_features(pixels, seen_m[:, 2].copy(), descriptors, noise, rng, camera))
+    return Scene(points_m, T_world_cam, features, camera)

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam import motion_refinement, se3
+from slam import measurement, se3
 from slam.config import PYRAMID_SCALE
 from slam.features import back_project, match
 from slam.motion_refinement import Correspondences, refine, residual_lengths
@@ -32,13 +32,14 @@ def half_squares(views, T_ref_query):
         points = (
             np.column_stack([shown.points_m[other_index], np.ones(len(pairs))]) @ T_this_other.T
         )
-        K, baseline_m = views.camera.matrix, motion_refinement._BASELINE_M
+        K, baseline_m = views.camera.matrix, measurement._BASELINE_M
         pixels = (points[:, :3] @ K.T)[:, :2] / points[:, 2:3]
         disparity = baseline_m * K[0, 0] * (1.0 / points[:, 2] - 1.0 / seen.depth_m[index])
-        sigma_px = motion_refinement._PIXEL_SIGMA_PX * PYRAMID_SCALE ** (seen.octaves[index])
+        sigma_px = measurement._PIXEL_SIGMA_PX * PYRAMID_SCALE ** (seen.octaves[index])
         pixel_residuals = (pixels - seen.undistorted_px[index]) / sigma_px[:, None]
         total += 0.5 * np.nansum(pixel_residuals**2)
-        total += 0.5 * np.nansum((disparity / motion_refinement._DISPARITY_SIGMA_PX) ** 2)
+        disparity_sigma_px = measurement._INVERSE_DEPTH_SIGMA * baseline_m * K[0, 0] * sigma_px
+        total += 0.5 * np.nansum((disparity / disparity_sigma_px) ** 2)
     return total
 
 

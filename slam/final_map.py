@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map of a whole run: landmarks fused across the loops that hold, all adjusted at once."""
+
+from collections.abc import Sequence
+
+from slam.landmark_map import LandmarkMap
+from slam.map_adjustment import adjusted, put_back, take_part
+from slam.types import FloatArray
+
+# The pose graph leaves this much between the two ends of a loop, and an adjusted map that much.
+_LOOP_RADIUS_PX, _LOOP_COMPANY = 8.0, 5
+_ADJUSTED_RADIUS_PX, _ADJUSTED_COMPANY = 3.0, 15
+_ROUNDS = (5, 5, 10)
+
+
+def closed_map(
+    the_map: LandmarkMap, T_world_kf: FloatArray, loops: Sequence[tuple[int, int]]
+) -> LandmarkMap:
+    """Return the map moved to where the pose graph puts it, tied across the loops, and adjusted.
+
+    Args:
+        the_map: the tracker's map; it stays as it is.
+        T_world_kf: (K, 4, 4) keyframe poses to start from.
+        loops: pairs of keyframe ids that show the same place.
+    """
+    final, everyone = the_map.copy(), range(len(T_world_kf))
+    final.carry(everyone, T_world_kf)
+    for match_id, query_id in loops:
+        _look_again(final, query_id, match_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
+        _look_again(final, match_id, query_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
+    _adjust(final, everyone)
+    for k in everyone:
+        _look_again(final, k, k, _ADJUSTED_COMPANY, _ADJUSTED_RADIUS_PX)
+    _adjust(final, everyone)
+    return final
+
+
+def _look_again(
+    the_map: LandmarkMap, k: int, seen_from: int, company: int, radius_px: float
+) -> None:
+    """Look in keyframe k for what another keyframe and those that share most with it see."""
+    others = the_map.company(the_map.seen_by([seen_from]))[:company]
+    the_map.fuse(k, the_map.seen_by([seen_from, *others]), radius_px)
+
+
+def _adjust(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> None:
+    part = take_part(the_map, keyframe_ids, [])
+    put_back(the_map, adjusted(part, the_map.camera, _ROUNDS))

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points in space that several keyframes see, kept as columns of a growing table."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.types import FloatArray
+
+IntArray = NDArray[np.int64]
+
+UNSEEN = -1
+"""What stands for no landmark, and for no keyframe, among their ids."""
+_OBSERVERS = 8  # keyframes remembered per landmark; more would not change the company it is in
+
+
+class Landmarks:
+    """A table of landmarks; an id is a row, and rows never move. There are spare rows at the end.
+
+    Attributes:
+        positions_m: (P, 3) float64, odometry frame.
+        descriptors: (P, 32) uint8, as last seen by a keyframe.
+        octaves, distances_m: (P,) pyramid level and distance at which it was last seen.
+        directions: (P, 3) unit vectors, from which it was last seen, odometry frame.
+        observers: (P, 8) ids of the keyframes that saw it last, UNSEEN where fewer did.
+        first_keyframe: (P,) id of the keyframe that created it.
+        sightings: (P,) how many keyframes saw it.
+        is_alive: (P,) bool; culled and merged ones are not.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self.positions_m = np.zeros((0, 3))
+        self.descriptors = np.zeros((0, 32), dtype=np.uint8)
+        self.octaves = np.zeros(0, dtype=np.int64)
+        self.distances_m = np.zeros(0)
+        self.directions = np.zeros((0, 3))
+        self.observers = np.zeros((0, _OBSERVERS), dtype=np.int64)
+        self.first_keyframe = np.zeros(0, dtype=np.int64)
+        self.sightings = np.zeros(0, dtype=np.int64)
+        self.is_alive = np.zeros(0, dtype=bool)
+        self._merged_into = np.zeros(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, positions_m: FloatArray, keyframe_id: int) -> IntArray:
+        """Add landmarks at (N, 3) positions and return their ids; `see` has to follow."""
+        ids = np.arange(self._count, self._count + len(positions_m))
+        self._count += len(positions_m)
+        if self._count > len(self.is_alive):
+            self._grow(2 * self._count)
+        self.positions_m[ids] = positions_m
+        self.observers[ids] = UNSEEN
+        self.first_keyframe[ids] = keyframe_id
+        self.is_alive[ids] = True
+        self._merged_into[ids] = ids
+        return ids
+
+    def _grow(self, size: int) -> None:
+        # Room for as many again: the cost of copying does not grow with their number.
+        for name, column in vars(self).items():
+            if isinstance(column, np.ndarray):
+                grown = np.zeros((size, *column.shape[1:]), column.dtype)
+                grown[: len(column)] = column
+                setattr(self, name, grown)
+
+    def see(
+        self,
+        ids: IntArray,
+        keyframe_id: int,
+        centre_m: FloatArray,
+        descriptors: NDArray[np.uint8],
+        octaves: IntArray,
+    ) -> None:
+        """Note that a keyframe with its camera at a (3,) centre sees landmarks."""
+        rays = self.positions_m[ids] - centre_m
+        distances_m = np.linalg.norm(rays, axis=1)
+        newest = keyframe_id >= self.observers[ids].max(axis=1)
+        new = ids[newest]
+        self.descriptors[new] = descriptors[newest]
+        self.octaves[new] = octaves[newest]
+        self.distances_m[new] = distances_m[newest]
+        self.directions[new] = rays[newest] / distances_m[newest][:, None]
+        slot = self.sightings[ids] % _OBSERVERS
+        self.observers[ids, slot] = keyframe_id
+        self.sightings[ids] += 1
+
+    def merge(self, gone: IntArray, kept: IntArray) -> None:
+        """Let (N,) landmarks be others from now on, unless a keyframe tells the two apart."""
+        seen_by_gone, seen_by_kept = self.observers[gone], self.observers[kept]
+        is_same = seen_by_gone[:, :, None] == seen_by_kept[:, None, :]
+        is_told_apart = (is_same & (seen_by_gone != UNSEEN)[:, :, None]).any(axis=(1, 2))
+        gone, kept = gone[~is_told_apart], kept[~is_told_apart]
+        self._merged_into[gone] = kept
+        self.is_alive[gone] = False
+        np.add.at(self.sightings, kept, self.sightings[gone])
+
+    def resolve(self, ids: IntArray) -> IntArray:
+        """Return what became of landmarks: themselves, those they were merged into, or UNSEEN."""
+        known = np.maximum(ids, 0)
+        while True:
+            after = self._merged_into[known]
+            if (after == known).all():
+                break
+            known = after
+        return np.where((ids >= 0) & self.is_alive[known], known, UNSEEN)

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an RGB-D camera measures of a point, and how well.
+
+A view measures pixel u, pixel v and disparity `baseline * fx / depth`: depth becomes what a second,
+virtual camera measures, in which the noise of a structured-light camera is the same near and far.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import PYRAMID_SCALE
+from slam.types import Camera, Features, FloatArray
+
+_PIXEL_SIGMA_PX = 1.0  # on the finest pyramid level
+_BASELINE_M = 0.075  # of the Kinect
+# Far more than the sensor's own: depth is read at an edge more often than not, and the two images
+# are not of one instant. The coarser the feature, the further off may be where it is read.
+_INVERSE_DEPTH_SIGMA = 0.025  # 1/m, on the finest pyramid level: 25 mm at 1 m, 10 cm at 2 m
+
+_LIMIT = 5.991**0.5  # 95 % of the pixels that are what they claim are closer: chi-square of two
+_HUBER = 1.345  # whitened length from which a pixel's pull stops growing
+_CAUCHY = 1.0  # whitened error from which a depth's pull fades: it may be that of a neighbour
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """M points as one or several cameras saw them.
+
+    Attributes:
+        seen: (M, 3) float64, u px, v px, disparity px; the disparity is NaN where unknown.
+        sigma: (M, 3) float64, px, their standard deviations.
+    """
+
+    seen: FloatArray
+    sigma: FloatArray
+
+    @staticmethod
+    def of(features: Features, index: NDArray[np.int64], camera: Camera) -> "Measurements":
+        """Collect what was measured of the features with (M,) indices."""
+        disparity_px = _BASELINE_M * camera.fx / features.depth_m[index]
+        coarseness = PYRAMID_SCALE ** features.octaves[index]
+        pixel_sigma = _PIXEL_SIGMA_PX * coarseness
+        disparity_sigma = _INVERSE_DEPTH_SIGMA * _BASELINE_M * camera.fx * coarseness
+        return Measurements(
+            seen=np.column_stack([features.undistorted_px[index], disparity_px]),
+            sigma=np.column_stack([pixel_sigma, pixel_sigma, disparity_sigma]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.seen)
+
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "Measurements":
+        """Keep some of the points, by an (M,) mask or by indices."""
+        return Measurements(self.seen[chosen], self.sigma[chosen])
+
+    @staticmethod
+    def joined(parts: Sequence["Measurements"]) -> "Measurements":
+        """Return all of them as one."""
+        return Measurements(
+            np.concatenate([part.seen for part in parts]),
+            np.concatenate([part.sigma for part in parts]),
+        )
+
+    def residuals(self, points_cam_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals (M, 3), 0 where unknown, and their (M, 3, 3) derivatives.
+
+        Args:
+            points_cam_m: (M, 3), where the points should be, metres, camera frame.
+            camera: the camera that measured.
+        """
+        expected, derivative = project(points_cam_m, camera)
+        residuals = (expected - self.seen) / self.sigma
+        known = np.isfinite(residuals)
+        derivative = np.where(known[:, :, None], derivative / self.sigma[:, :, None], 0.0)
+        return np.where(known, residuals, 0.0), derivative
+
+    def agree(self, points_cam_m: FloatArray, camera: Camera) -> NDArray[np.bool_]:
+        """Return (M,) bool: which of (M, 3) points, camera frame, were seen where they are.
+
+        Depth has no say in it: where it is wrong, the pixel may still be right.
+        """
+        residuals, _ = self.residuals(points_cam_m, camera)
+        fits = np.linalg.norm(residuals[:, :2], axis=1) < _LIMIT
+        return np.asarray(fits & (points_cam_m[:, 2] > 0.0))
+
+
+def robust(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (M,) costs of (M, 3) whitened residuals, and the weights (M, 3), 0 to 1, of each.
+
+    Huber's for the pixel, Cauchy's for the disparity.
+    """
+    lengths = np.linalg.norm(residuals[:, :2], axis=1)
+    pixel_weights = np.minimum(1.0, _HUBER / np.maximum(lengths, 1e-12))
+    pixel_costs = pixel_weights * lengths**2 * (1.0 - 0.5 * pixel_weights)
+    spread = 1.0 + (residuals[:, 2] / _CAUCHY) ** 2
+    costs = pixel_costs + 0.5 * _CAUCHY**2 * np.log(spread)
+    return costs, np.column_stack([pixel_weights, pixel_weights, 1.0 / spread])
+
+
+def project(points_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Return what the camera should measure of (M, 3) points in its frame, and the derivatives.
+
+    Returns:
+        (M, 3) u px, v px, disparity px, and (M, 3, 3) its derivative by the point, px per metre.
+    """
+    inverse_z = 1.0 / points_m[:, 2]
+    x, y = points_m[:, 0] * inverse_z, points_m[:, 1] * inverse_z
+    baseline_fx = _BASELINE_M * camera.fx
+    seen = np.column_stack(
+        [camera.fx * x + camera.cx, camera.fy * y + camera.cy, baseline_fx * inverse_z]
+    )
+    derivative = np.zeros((len(points_m), 3, 3))
+    derivative[:, 0, 0] = camera.fx * inverse_z
+    derivative[:, 0, 2] = -camera.fx * x * inverse_z
+    derivative[:, 1, 1] = camera.fy * inverse_z
+    derivative[:, 1, 2] = -camera.fy * y * inverse_z
+    derivative[:, 2, 2] = -baseline_fx * inverse_z**2
+    return seen, derivative

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+import threading
+
+import numpy as np
+import pytest
+
+from placerec.gradients import GradientRecognizer
+from placerec.recognizer import RecognizerError
+from slam.back_end import BackEnd
+from slam.config import Config, LoopConfig
+from slam.features import FeatureExtractor
+from slam.preview import preview
+from slam.stage_clock import StageClock
+from slam.types import Camera, Keyframe, Link, RelativePose
+
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+INFORMATION = np.diag([1e6] * 3 + [1e5] * 3)
+
+
+class Gate(GradientRecognizer):
+    """Works only when it is let, and fails when it is told to."""
+
+    def __init__(self):
+        self.is_open = threading.Event()
+        self.is_open.set()
+        self.is_broken = False
+
+    def embed(self, image):
+        assert self.is_open.wait(10.0)
+        return np.full(496, np.nan) if self.is_broken else super().embed(image)
+
+
+def back_end(recognizer, **loop):
+    return BackEnd(CAMERA, recognizer, Config(loop=LoopConfig(**loop)), StageClock())
+
+
+@pytest.fixture(scope="module")
+def keyframes(frames):
+    """Return keyframes 3 s apart that all show the first frame's place, and their images."""
+    features = FeatureExtractor(CAMERA, Config().features).extract(frames[0])
+    return [
+        (Keyframe(k, 3.0 * k, np.eye(4), features, preview(frames[0])), frames[0].rgb)
+        for k in range(4)
+    ]
+
+
+def links(keyframe):
+    if not keyframe.id:
+        return ()
+    return (Link(keyframe.id - 1, keyframe.id, RelativePose(np.eye(4), INFORMATION)),)
+
+
+def test_who_inserts_does_not_wait_for_the_answer(keyframes):
+    gate = Gate()
+    behind = back_end(gate)
+    gate.is_open.clear()
+    keyframe, rgb = keyframes[0]
+    behind.insert(keyframe, (), rgb)
+    assert behind.keyframes == []
+    gate.is_open.set()
+    assert behind.settle() == ()
+    assert behind.keyframes == [keyframe]
+
+
+def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    solved = behind.solve()
+    assert behind.keyframes == [keyframe for keyframe, _ in keyframes]
+    assert {(each.match_id, each.query_id) for each in solved.attempts} == {(0, 2), (0, 3), (1, 3)}
+    assert solved.trusted_pairs() == [(each.match_id, each.query_id) for each in solved.attempts]
+    np.testing.assert_allclose(solved.T_world_kf, np.tile(np.eye(4), (4, 1, 1)), atol=1e-3)
+    assert behind.similarities().shape == (4, 4)
+
+
+def test_loops_that_lost_are_not_trusted(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    for keyframe, rgb in keyframes[:3]:
+        far = np.eye(4)
+        far[0, 3] = 2.0
+        motion = RelativePose(far, INFORMATION)
+        tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
+        behind.insert(keyframe, tie, rgb)
+    solved = behind.solve()
+    assert len(solved.attempts) == 1 and solved.trusted_pairs() == []
+
+
+def test_a_failure_is_told_by_whoever_waits_next(keyframes):
+    gate = Gate()
+    behind = back_end(gate)
+    behind.insert(keyframes[0][0], (), keyframes[0][1])
+    behind.settle()
+    gate.is_broken = True
+    behind.insert(keyframes[1][0], links(keyframes[1][0]), keyframes[1][1])
+    with pytest.raises(RecognizerError, match="NaN"):
+        behind.insert(keyframes[2][0], links(keyframes[2][0]), keyframes[2][1])
+    assert behind.settle() == ()
+    assert len(behind.solve().T_world_kf) == 1

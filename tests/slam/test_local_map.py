@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from slam import se3
+from slam.config import Config
+from slam.guided_search import FeatureGrid
+from slam.landmark_map import empty_pairs
+from slam.local_map import LocalMap
+
+
+@pytest.fixture
+def scene(make_scene):
+    return make_scene(cameras=6, noise=0.2)
+
+
+def insert(local_map, scene, k, T_odom_cam=None):
+    """Insert a keyframe as the tracker does: with what it finds nearby."""
+    grid = FeatureGrid(scene.features[k], scene.camera)
+    T_odom_cam = scene.T_world_cam[k] if T_odom_cam is None else T_odom_cam
+    pairs = empty_pairs()
+    if k:
+        pairs = local_map.whole.search(grid, T_odom_cam, local_map.nearby_ids, 8.0)
+    return local_map.insert(scene.features[k], grid, T_odom_cam, pairs)
+
+
+def test_a_keyframe_a_little_off_is_put_right(scene):
+    local_map = LocalMap(scene.camera, Config())
+    for k in range(4):
+        off = se3.exp(np.array([0.002, 0.0, 0.0, 0.004, 0.0, 0.0])) if k == 3 else np.eye(4)
+        assert insert(local_map, scene, k, scene.T_world_cam[k] @ off) == k
+    error = se3.inverse(scene.T_world_cam[3]) @ local_map.whole.keyframes[3].T_map_cam
+    assert se3.translation_norm(error) < 0.002
+
+
+def test_landmarks_nearby_are_those_of_the_keyframe_and_its_company(scene):
+    local_map = LocalMap(scene.camera, Config())
+    for k in range(3):
+        insert(local_map, scene, k)
+    np.testing.assert_array_equal(local_map.nearby_ids, local_map.whole.seen_by([0, 1, 2]))
+    assert 110 < len(local_map.nearby_ids) < 150
+
+
+def test_a_landmark_that_no_second_keyframe_sees_is_culled_after_its_chance(scene):
+    local_map = LocalMap(scene.camera, Config())
+    insert(local_map, scene, 0)
+    lonely = local_map.whole.landmarks.add(np.array([[0.0, 0.0, 2.5]]), 0)
+    features = scene.features[0]
+    local_map.whole.keyframes[0].landmark_of[5] = lonely[0]
+    local_map.whole.landmarks.see(
+        lonely, 0, np.zeros(3), 255 - features.descriptors[:1], features.octaves[:1]
+    )
+    alive = []
+    for k in range(1, 5):
+        insert(local_map, scene, k)
+        alive.append(bool(local_map.whole.landmarks.is_alive[lonely[0]]))
+    assert alive == [True, True, False, False]
+    assert lonely[0] not in local_map.nearby_ids
