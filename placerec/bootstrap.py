@@ -35,11 +35,11 @@ class Intervals:
 
 def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> Intervals:
     """Return the intervals of an evaluation; the same seed gives the same ones."""
-    unit = _units(dataset)
+    unit = resampling_units(dataset)
     pairs = _Pairs(evaluation.similarities, dataset, unit)
     revisits = np.any(dataset.comparable & dataset.same_place, axis=1)
     precisions, recalls = [], []
-    for drawn in _draws(unit, seed):
+    for drawn in draws(unit, seed):
         precisions.append(pairs.average_precision(drawn))
         recalls.append(_recall(evaluation.best_matches, revisits, drawn[dataset.queries]))
     return Intervals(
@@ -49,7 +49,7 @@ def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> I
     )
 
 
-def _units(dataset: PlaceDataset) -> Counts:
+def resampling_units(dataset: PlaceDataset) -> Counts:
     """Return for each of the (N,) images what it is drawn together with, counted from 0.
 
     Whole places where they are known: images of one place are alike, and drawn one by one they
@@ -60,7 +60,7 @@ def _units(dataset: PlaceDataset) -> Counts:
     return unit.astype(np.int64)
 
 
-def _draws(unit: Counts, seed: int) -> Iterator[Counts]:
+def draws(unit: Counts, seed: int) -> Iterator[Counts]:
     """Yield how often each of the (N,) images is drawn in each resample."""
     rng = np.random.default_rng(seed)
     count = int(unit.max()) + 1

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """From which similarity is a match worth verifying, and from which is it one place for sure?"""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.bootstrap import CONFIDENCE, draws, resampling_units
 from placerec.certificate import TAIL, Certificate, fingerprint
 from placerec.datasets import PlaceDataset
 from placerec.evaluation import Curve, Embeddings, Similarities, compare, pair_curve
 from placerec.recognizer import PlaceRecognizer, RecognizerError
 
-RESAMPLES = 1000
-CONFIDENCE = 0.95
 CURVE_POINTS = 200
 BLOCK = 4096
 
@@ -78,8 +76,8 @@ def calibrate(
         threshold_interval=tuple(np.quantile(thresholds, tails)),
         recall_interval=tuple(np.quantile(recalls, tails)),
         resampled="images" if dataset.places is None else "places",
-        resamples=RESAMPLES,
-        without_threshold=RESAMPLES - len(thresholds),
+        resamples=len(recalls),
+        without_threshold=len(recalls) - len(thresholds),
         seed=seed,
         different_places=tuple(different),
         same_place=tuple(same),
@@ -109,7 +107,7 @@ def _bootstrap(
 ) -> tuple[list[float], list[float]]:
     """Return the threshold of each resample that has one, and the recall of each."""
     thresholds, recalls = [], []
-    for drawn in _draws(dataset, seed):
+    for drawn in draws(resampling_units(dataset), seed):
         weights = right.weights(drawn)
         above = right.similarities > _highest_drawn(wrong, drawn)
         recalls.append(float(weights[above].sum() / max(1, weights.sum())))
@@ -117,20 +115,6 @@ def _bootstrap(
         if recognised.size:
             thresholds.append(float(recognised[-1]))
     return thresholds, recalls
-
-
-def _draws(dataset: PlaceDataset, seed: int) -> Iterator[Indices]:
-    """Yield how often each of the (N,) images is drawn in each resample.
-
-    Whole places where they are known: images of one place are alike, and drawn one by one they
-    would make the interval too narrow.
-    """
-    rng = np.random.default_rng(seed)
-    units = np.arange(len(dataset)) if dataset.places is None else dataset.places
-    _, unit = np.unique(units, return_inverse=True)
-    count = int(unit.max()) + 1
-    for _ in range(RESAMPLES):
-        yield np.bincount(rng.integers(count, size=count), minlength=count)[unit]
 
 
 def _highest_drawn(pairs: _Pairs, drawn: Indices) -> float:

@@ -2,33 +2,31 @@
 """How far away the wrong best matches are: beside the place, or somewhere else."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.place_recognition.tables import markdown
-from placerec.datasets.tum import MAX_DISTANCE, MIN_GAP_S, STRIDE, pose_distance, read_recording
+from placerec.datasets import PlaceDataset
+from placerec.datasets.tum import MAX_DISTANCE, STRIDE, pose_distance, read_recording
 from placerec.evaluation import Similarities
 
 SUREST = 20
 FAR = 1.0
 
 
-def near_misses_table(recording: Path, similarities: Mapping[str, Similarities]) -> str:
+def near_misses_table(desk: PlaceDataset, similarities: Mapping[str, Similarities]) -> str:
     """Return, by method, how far wrong best matches are, in metres plus radians (eq. 10).
 
     Args:
-        recording: folder in TUM RGB-D's format.
-        similarities: by method, (N, N) between its frames, which only count where comparable.
+        desk: a whole recording in TUM RGB-D's format.
+        similarities: by method, (N, N) between its images.
     """
-    frames = read_recording(recording, STRIDE)
+    frames = read_recording(desk.paths[0].parents[1], STRIDE)
     distance = pose_distance(frames.positions_m, frames.quaternions)
-    apart_s = np.abs(frames.timestamps_s[:, None] - frames.timestamps_s)
-    comparable = apart_s > MIN_GAP_S
-    has_match = ((distance < MAX_DISTANCE) & comparable).any(axis=1)
+    has_match = (desk.same_place & desk.comparable).any(axis=1)
     rows = []
     for method, values in similarities.items():
-        counted = np.where(comparable, values, -np.inf)
+        counted = np.where(desk.comparable, values, -np.inf)
         best = counted.argmax(axis=1)
         reached = distance[np.arange(len(best)), best]
         wrong = np.flatnonzero(reached >= MAX_DISTANCE)

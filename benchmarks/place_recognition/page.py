@@ -99,7 +99,7 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
             desk, {title: each.similarities[desk.name] for title, each in methods.items()}
         ),
         "near_misses": near_misses_table(
-            desk.paths[0].parents[1],
+            desk,
             {title: each.similarities[desk.name] for title, each in methods.items()},
         ),
         "ways": [pictures.way(t, desk, methods[t].similarities[desk.name]) for t in ways],

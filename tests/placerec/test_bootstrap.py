@@ -44,7 +44,7 @@ def test_intervals_agree_with_copies_of_the_pairs_drawn(monkeypatch, labelled, l
     found = evaluate(dataset, embeddings)
     naive = [
         naive_figures(found.similarities, dataset, drawn)
-        for drawn in module._draws(module._units(dataset), 7)
+        for drawn in module.draws(module.resampling_units(dataset), 7)
     ]
     expected = np.quantile(np.array(naive), [0.025, 0.975], axis=0)
     intervals = bootstrap(found, dataset, seed=7)

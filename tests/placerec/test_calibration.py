@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placerec import calibration
+from placerec import bootstrap, calibration
 from placerec.calibration import calibrate
 from placerec.certificate import fingerprint
 from placerec.datasets import PlaceDataset
@@ -120,7 +120,7 @@ def signs_of_twelve_places():
 @pytest.mark.parametrize("labelled", [True, False])
 @pytest.mark.parametrize("tied", [True, False])
 def test_intervals_agree_with_a_naive_bootstrap(dataset, embeddings, monkeypatch, labelled, tied):
-    monkeypatch.setattr(calibration, "RESAMPLES", 20)
+    monkeypatch.setattr(bootstrap, "RESAMPLES", 20)
     monkeypatch.setattr(calibration, "BLOCK", 7)
     if tied:
         embeddings = signs_of_twelve_places()
