@@ -17,32 +17,6 @@ from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
 
 
-@pytest.fixture
-def certificate():
-    return Certificate(
-        recognizer="gradients",
-        fingerprint="sha256:0",
-        data="somewhere",
-        images=10,
-        skipped=1,
-        pairs=45,
-        same_place_pairs=9,
-        threshold=0.8,
-        highest_wrong=0.75,
-        recall=0.5,
-        threshold_interval=(0.7, 0.85),
-        recall_interval=(0.25, 0.75),
-        resampled="places",
-        resamples=100,
-        without_threshold=2,
-        seed=0,
-        different_places=(-0.1, 0.6),
-        same_place=(0.3, 0.9),
-        recall_to_verify=0.75,
-        curve=((0.9, 1.0, 0.1), (0.8, 1.0, 0.5), (0.2, 0.5, 1.0)),
-    )
-
-
 def test_reads_what_it_wrote(tmp_path, certificate):
     path = tmp_path / "default.json"
     write_certificate(certificate, path)
