@@ -123,7 +123,7 @@ class Slam:
     def T_world_odom(self) -> FloatArray:
         """Return the (4, 4) correction as of now: from the odometry's frame to the world.
 
-        It solves the graph, which takes longer the longer the run is; no frame is tracked meanwhile.
+        It solves the graph, which takes the longer the longer the run is, and no frame is tracked.
 
         Raises:
             SlamError: there is no keyframe yet.
