@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.recognizer import PlaceRecognizer
+from slam import se3
 from slam.calibration import Calibration
 from slam.config import Config
 from slam.loop_closure import LoopCloser
@@ -22,6 +23,7 @@ from slam.types import (
     Link,
     LoopAttempt,
     RelativePose,
+    SlamError,
 )
 
 
@@ -53,7 +55,8 @@ class BackEnd:
 
     Tracking needs none of the answers, so it never waits for them, but for one thing: a keyframe
     is begun only when the one before is done. So the work cannot pile up, and what comes out does
-    not depend on who was faster.
+    not depend on who was faster. The graph is solved only when somebody asks: each solve takes
+    longer than the one before.
 
     Attributes:
         keyframes, links: what was taken in completely.
@@ -99,6 +102,21 @@ class BackEnd:
         """
         underway, self._underway = self._underway, None
         return underway.result() if underway else ()
+
+    def T_world_odom(self) -> FloatArray:
+        """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
+
+        Raises:
+            SlamError: there is no keyframe yet.
+            RecognizerError: the recognizer failed on the last keyframe; without it, ask again.
+        """
+        self.settle()
+        if not self.keyframes:
+            raise SlamError("there is no keyframe yet that a correction could be known of")
+        newest = self.keyframes[-1]
+        with self._clock.stage("graph"):
+            self._graph.update()
+        return self._graph.T_world_kf(newest.id) @ se3.inverse(newest.T_odom_cam)
 
     def solve(self) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
@@ -150,4 +168,3 @@ class BackEnd:
         for key, attempt in enumerate(attempts, start=len(self._attempts)):
             if isinstance(attempt.outcome, RelativePose):
                 self._graph.add_loop(key, attempt.match_id, attempt.query_id, attempt.outcome)
-        self._graph.update()

@@ -120,6 +120,18 @@ class Slam:
         self._last = keyframe
         self._rides.append(_Ride(frame.timestamp_s, keyframe.id, np.eye(4)))
 
+    def T_world_odom(self) -> FloatArray:
+        """Return the (4, 4) correction as of now: from the odometry's frame to the world.
+
+        It solves the graph, which takes the longer the longer the run is, and no frame is tracked.
+
+        Raises:
+            SlamError: there is no keyframe yet.
+            RecognizerError: the recognizer failed on the last keyframe; what was done until then
+                can be finished.
+        """
+        return self._back_end.T_world_odom()
+
     def finish(self) -> SlamResult:
         """Solve the graph with all loops, adjust the map to it, and return what the run found out.
 
