@@ -11,7 +11,7 @@ from placerec.calibration import calibrate
 from placerec.datasets import PlaceDataset
 from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
-from slam import back_end, se3
+from slam import atlas, se3
 from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig
 from slam.drift import compare_drift, trajectory_error
 from slam.odometry import TrackedFrame
@@ -132,7 +132,7 @@ def test_all_links_and_accepted_loops_come_into_the_graph(frames, monkeypatch):
             loops.append((key, ref_id, query_id))
             super().add_loop(key, ref_id, query_id, motion)
 
-    monkeypatch.setattr(back_end, "PoseGraph", Spy)
+    monkeypatch.setattr(atlas, "PoseGraph", Spy)
     result = run(frames)
     assert tuple(links) == result.links
     assert loops == [
