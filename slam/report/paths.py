@@ -79,7 +79,7 @@ def gather(result: SlamResult, drift: DriftReport | None, truth: Trajectory | No
     frames = np.unique(np.concatenate([times, keyframe_times, result.untracked_s]))
     starts, breaks = _sessions(frames, result.session_starts_s)
     tolerance = drift.tolerance_s if drift is not None else 0.0
-    inside = _overlap(truth, times)
+    inside = _within(truth.timestamps_s, times, starts)
     return Paths(
         times_s=_elapsed_s(times, starts, breaks),
         before_m=_positions(to_truth_before, result.odometry.T_world_cam),
@@ -132,12 +132,13 @@ def broken(times_s: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
     return tuple(np.insert(array, cuts, np.nan, axis=0) for array in (times_s, *values))
 
 
-def _overlap(truth: Trajectory, times_s: FloatArray) -> slice:
-    """Return the part of the truth that lies within the run's time span."""
-    if len(truth) == 0 or len(times_s) == 0:
-        return slice(0, 0)
-    first, last = np.searchsorted(truth.timestamps_s, (times_s[0], times_s[-1] + 1e-9))
-    return slice(int(first), int(last))
+def _within(truth_s: FloatArray, times_s: FloatArray, starts_s: FloatArray) -> NDArray[np.bool_]:
+    """Return (M,) bool, the true poses from the first to the last frame of a session."""
+    inside = np.zeros(len(truth_s), dtype=bool)
+    for part_s in np.split(times_s, np.searchsorted(times_s, starts_s[1:])):
+        if len(part_s):
+            inside |= (truth_s >= part_s[0]) & (truth_s <= part_s[-1] + 1e-9)
+    return inside
 
 
 def _positions(T_truth_world: FloatArray, T_world_cam: FloatArray) -> FloatArray:
