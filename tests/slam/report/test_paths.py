@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from slam.report.paths import SESSION_GAP_S, broken, gather, positions_at
 from slam.types import Trajectory
 
-
 PER_KEYFRAME = 5  # frames, in the run of conftest.py
 
 
