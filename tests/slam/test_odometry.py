@@ -272,6 +272,25 @@ def segment_of_each(tracked):
     return found
 
 
+def test_a_frame_that_shows_next_to_nothing_is_not_worth_a_segment(frames):
+    dim = noise(frames[6])
+    dim.depth_m[:, 40:] = 0.0
+    tracked = run([*frames[:6], dim, *frames[7:9]])
+    assert isinstance(tracked[6], Rejection) and tracked[6].needed == 15
+    assert segment_of_each([*tracked[:6], *tracked[7:]]) == [0] * 8
+    (begun,) = run([dim])  # but better than no beginning
+    assert begun.new_keyframe.segment == 0 and len(begun.new_keyframe.features.pixels) > 15
+
+
+def test_many_bad_frames_in_a_row_do_not_hide_where_the_camera_was(frames, T_first_cam):
+    found = run([noise(frame) if 8 <= i < 11 else frame for i, frame in enumerate(frames[:20])])
+    seen = [i for i in range(20) if not 8 <= i < 11]
+    of_frame = segment_of_each(found)
+    assert {of_frame[i] for i in seen} == {0} and of_frame[8:11] == [1, 2, 3]
+    error_m, error_deg = errors(poses(found)[seen], T_first_cam[seen])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
 def test_a_camera_that_comes_back_goes_on_where_it_was(frames, T_first_cam):
     # Far away for some frames, and then back: the last two segments are remembered.
     away = [
