@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.recognizer import PlaceRecognizer
-from slam.atlas import NEEDED_LOOPS, Atlas
+from slam.atlas import Atlas
 from slam.calibration import Calibration
 from slam.config import Config
 from slam.loop_closure import LoopCloser
+from slam.parts import NEEDED_LOOPS
 from slam.stage_clock import StageClock
 from slam.types import (
     MIN_TRUSTED_WEIGHT,
@@ -56,7 +57,8 @@ class BackEnd:
 
     Tracking needs none of the answers, so it never waits for them, but for one thing: a keyframe
     is begun only when the one before is done. So the work cannot pile up, and what comes out does
-    not depend on who was faster.
+    not depend on who was faster. The graph is solved only when somebody asks: each solve takes
+    longer than the one before.
 
     Attributes:
         keyframes: those that were taken in completely.
@@ -102,6 +104,20 @@ class BackEnd:
         underway, self._underway = self._underway, None
         return underway.result() if underway else ()
 
+    def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
+        """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
+
+        Args:
+            frames: as for `solve`.
+
+        Raises:
+            SlamError: there is no keyframe yet, or its part of the map is not joined to the rest.
+            RecognizerError: the recognizer failed on the last keyframe; without it, ask again.
+        """
+        self.settle()
+        with self._clock.stage("graph"):
+            return self._atlas.T_world_odom(self._counted(frames))
+
     def solve(self, frames: Mapping[int, int] | None = None) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
 
@@ -114,8 +130,7 @@ class BackEnd:
         """
         self.settle()
         with self._clock.stage("graph"):
-            one_each = dict.fromkeys(range(len(self.keyframes)), 1)
-            solution = self._atlas.finish(one_each if frames is None else frames)
+            solution = self._atlas.finish(self._counted(frames))
         attempts = tuple(
             _unjoined(attempt, solution.unjoined[key])
             if key in solution.unjoined
@@ -125,12 +140,15 @@ class BackEnd:
         return ClosedLoops(solution.T_world_kf, attempts, solution.links, solution.warnings)
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), the cosine between the embeddings of all keyframes."""
+        """Return (K, K), how alike all keyframes are, -1 to 1."""
         return self._loop_closer.similarities()
 
     def calibration(self) -> Calibration | None:
         """Return what the recognizer was calibrated on beside what it met, where it says so."""
         return self._loop_closer.calibration()
+
+    def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
+        return dict.fromkeys(range(len(self.keyframes)), 1) if frames is None else frames
 
     def _take(
         self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]

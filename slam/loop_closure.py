@@ -43,12 +43,12 @@ class LoopCloser:
         self._verification_config = verification_config
         self._keyframes: list[Keyframe] = []
         self._looked_at: list[NDArray[np.bool_]] = []
-        self._index = PlaceIndex()
+        self._index = PlaceIndex(self._recognizer)
         chosen = loop_config.min_similarity
         self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the (D,) unit embedding of a (H, W, 3) RGB image.
+        """Return the float32 embedding of a (H, W, 3) RGB image.
 
         Raises:
             RecognizerError: the recognizer returned something that is not an embedding.
@@ -62,11 +62,14 @@ class LoopCloser:
 
         Args:
             keyframe: the new one.
-            embedding: (D,) float32, unit length, as `describe` returned it.
+            embedding: as `describe` returned it.
             linked_ids: keyframes whose motion to it is known already: however long ago they were
                 seen, a camera that stood still closes no loop.
 
         Of another segment every keyframe is a candidate, for nothing else tells where that lies.
+
+        Raises:
+            RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
         is_candidate = self._candidates(keyframe, linked_ids)
         ids, similarities = self._most_similar(embedding, is_candidate)
@@ -84,7 +87,7 @@ class LoopCloser:
         return tuple(attempts)
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), the cosine between the embeddings of all keyframes so far."""
+        """Return (K, K), how alike all keyframes so far are, -1 to 1."""
         return self._index.similarities()
 
     def calibration(self) -> Calibration | None:

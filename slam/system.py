@@ -12,6 +12,7 @@ from slam.back_end import BackEnd, ClosedLoops
 from slam.config import Config
 from slam.features import FeatureExtractor
 from slam.final_map import closed_map
+from slam.frame_checks import check_frame, checked_pose
 from slam.odometry import RgbdOdometry, TrackedFrame
 from slam.preview import preview
 from slam.rides import Rides
@@ -68,7 +69,7 @@ class Slam:
             RecognizerError: the recognizer failed on the keyframe before; what was done until then
                 can be finished.
         """
-        self._check_frame(frame)
+        check_frame(frame, self._camera, self._last_s)
         self._enter("process", frame)
         with self.clock.stage("track"):
             tracked = self._odometry.track(frame)
@@ -98,8 +99,8 @@ class Slam:
                 pose is not a rigid transform.
             RecognizerError: the recognizer failed; what was done until then can be finished.
         """
-        T_odom_cam = _checked_pose(frame.timestamp_s, T_odom_cam)
-        self._check_frame(frame)
+        T_odom_cam = checked_pose(frame.timestamp_s, T_odom_cam)
+        check_frame(frame, self._camera, self._last_s)
         self._enter("add_keyframe", frame)
         last = self._last
         keyframe = Keyframe(
@@ -124,6 +125,19 @@ class Slam:
         self._back_end.insert(keyframe, links, frame.rgb)
         self._last = keyframe
         self._rides.add(frame.timestamp_s, keyframe.id, np.eye(4))
+
+    def T_world_odom(self) -> FloatArray:
+        """Return the (4, 4) correction as of now: from the odometry's frame to the world.
+
+        It solves the graph, which takes the longer the longer the run is, and no frame is tracked.
+
+        Raises:
+            SlamError: there is no keyframe yet, or nothing tells where the camera is since it was
+                lost.
+            RecognizerError: the recognizer failed on the last keyframe; what was done until then
+                can be finished.
+        """
+        return self._back_end.T_world_odom(self._rides.per_keyframe())
 
     def finish(self) -> SlamResult:
         """Solve the graph with all loops, adjust the map to it, and return what the run found out.
@@ -209,34 +223,6 @@ class Slam:
         if self._is_new_session:
             self._session_starts_s.append(frame.timestamp_s)
             self._is_new_session = False
-
-    def _check_frame(self, frame: Frame) -> None:
-        if not frame.timestamp_s > self._last_s:
-            raise SlamError(
-                f"frames must come in the order of time: {frame.timestamp_s:.6f} s after"
-                f" {self._last_s:.6f} s"
-            )
-        wanted = (self._camera.height, self._camera.width)
-        if frame.rgb.dtype != np.uint8:
-            raise SlamError(
-                f"the frame at {frame.timestamp_s:.6f} s has {frame.rgb.dtype} colours, not uint8"
-            )
-        if frame.rgb.shape != (*wanted, 3) or frame.depth_m.shape != wanted:
-            raise SlamError(
-                f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"
-                f" {frame.depth_m.shape}, but the camera makes {(*wanted, 3)} and {wanted}"
-            )
-
-
-def _checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
-    T = np.array(T_odom_cam, dtype=np.float64)  # a copy: callers reuse their matrix
-    is_affine = T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])
-    R = T[:3, :3] if is_affine else np.zeros((3, 3))
-    if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0):
-        raise SlamError(
-            f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
-        )
-    return T
 
 
 def _turning_rad_s(last: Keyframe, timestamp_s: float, T_odom_cam: FloatArray) -> float:

@@ -47,6 +47,7 @@ TESTED_WITHIN = {
     "slam/datasets/tables.py": "slam/datasets/test_tum.py",
     "slam/datasets/transfer.py": "slam/datasets/test_download.py",
     "slam/datasets/true_poses.py": "slam/datasets/test_seven_scenes.py",
+    "slam/parts.py": "slam/test_atlas.py",
     "slam/placement.py": "slam/test_odometry.py",
     "slam/pose_graph/agreement.py": "slam/pose_graph/test_graph.py",
     "slam/pose_graph/batch.py": "slam/pose_graph/test_robust.py",

@@ -136,7 +136,7 @@ class PoseGraph:
             SlamError: a keyframe is not tied to the first one by links.
         """
         self._check_tied()
-        values = self._values
+        values = self._chain  # whatever `update` made of it: who asked on the way changes nothing
         warnings: tuple[str, ...] = ()
         if self._loops or self._side_links:
             graph, doubted = self._whole()

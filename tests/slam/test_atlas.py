@@ -3,9 +3,18 @@ import numpy as np
 import pytest
 
 from slam import se3
-from slam.atlas import NEEDED_LOOPS, Atlas, tied
+from slam.atlas import Atlas, tied
 from slam.config import GraphConfig
-from slam.types import Keyframe, Link, LoopAttempt, Rejection, RejectionReason, RelativePose
+from slam.parts import NEEDED_LOOPS
+from slam.types import (
+    Keyframe,
+    Link,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    SlamError,
+)
 
 INFORMATION = np.diag([1e5] * 3 + [1e4] * 3)
 STEP = se3.exp(np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.3]))
@@ -176,6 +185,21 @@ def test_loops_within_a_part_that_was_not_joined_are_of_no_use(run):
     assert run.finish().unjoined == {0: 0}
     run.add(1, [(1, TRUE)])
     assert run.finish().unjoined == {0: 1, 1: 1}
+
+
+def test_the_correction_of_a_segment_is_known_once_it_is_joined(run):
+    with pytest.raises(SlamError, match="no keyframe yet"):
+        run.atlas.T_world_odom({})
+    for segment in (0, 0, 0, 1):
+        run.add(segment)
+    frames = {0: 1}
+    with pytest.raises(SlamError, match="no two loops agree") as error:
+        run.atlas.T_world_odom(frames)
+    assert "\n" not in str(error.value)
+    run.add(1, [(1, TRUE), (2, TRUE)])
+    np.testing.assert_allclose(run.atlas.T_world_odom(frames), T_WORLD_OF[1], atol=1e-6)
+    asked_before = run.finish()
+    assert all(placed(asked_before)) and run.errors_m(asked_before).max() < 1e-6
 
 
 def test_rejected_candidates_are_no_loops(run):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ from placerec.recognizer import RecognizerError
 from slam.back_end import BackEnd
 from slam.config import Config, LoopConfig
 from slam.features import FeatureExtractor
+from slam.pose_graph import PoseGraph
 from slam.preview import preview
 from slam.stage_clock import StageClock
-from slam.types import Camera, Keyframe, Link, RelativePose
+from slam.types import Camera, Keyframe, Link, RelativePose, SlamError
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 INFORMATION = np.diag([1e6] * 3 + [1e5] * 3)
@@ -84,6 +86,45 @@ def test_loops_that_lost_are_not_trusted(keyframes):
         behind.insert(keyframe, tie, rgb)
     solved = behind.solve()
     assert len(solved.attempts) == 1 and solved.trusted_pairs() == []
+
+
+def drifting(keyframes):
+    """Return the keyframes, in truth all at one place, as an odometry that drifts sees them."""
+    step = np.eye(4)
+    step[0, 3] = 0.02
+    T_odom_cam = [np.linalg.matrix_power(step, each.id) for each, _ in keyframes]
+    motion = RelativePose(step, np.diag([1e4] * 3 + [1e3] * 3))
+    for (keyframe, rgb), T in zip(keyframes, T_odom_cam, strict=True):
+        tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
+        yield replace(keyframe, T_odom_cam=T), tie, rgb
+
+
+def test_the_correction_is_known_to_who_asks_and_costs_nobody_else(keyframes, monkeypatch):
+    updates = []
+    monkeypatch.setattr(PoseGraph, "update", _counted(PoseGraph.update, updates))
+    behind, unasked = back_end(Gate(), min_gap_s=4.0), back_end(Gate(), min_gap_s=4.0)
+    with pytest.raises(SlamError, match="no keyframe yet"):
+        behind.T_world_odom()
+    corrections = []
+    for keyframe, tie, rgb in drifting(keyframes):
+        behind.insert(keyframe, tie, rgb)
+        corrections.append(behind.T_world_odom())
+        unasked.insert(keyframe, tie, rgb)
+    assert len(updates) == 4 and len(set(map(id, updates))) == 1  # all of the one that was asked
+    np.testing.assert_allclose(corrections[1], np.eye(4), atol=1e-6)
+    assert corrections[3][0, 3] < -0.04  # most of 6 cm, for the loops say that nothing moved
+    solved = behind.solve()
+    T_world_last = corrections[3] @ behind.keyframes[3].T_odom_cam
+    np.testing.assert_allclose(T_world_last, solved.T_world_kf[3], atol=1e-3)
+    np.testing.assert_array_equal(solved.T_world_kf, unasked.solve().T_world_kf)
+
+
+def _counted(method, calls):
+    def counting(self):
+        calls.append(self)
+        return method(self)
+
+    return counting
 
 
 def test_a_failure_is_told_by_whoever_waits_next(keyframes):

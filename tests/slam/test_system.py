@@ -259,6 +259,16 @@ def test_the_pose_given_may_be_changed_afterwards(frames):
     assert positions.tolist() == [0.0, 0.1]
 
 
+def test_the_correction_so_far_takes_the_odometry_to_the_world(drifting):
+    slam = Slam(CAMERA, GradientRecognizer())
+    for frame, T_odom_cam in zip(*drifting, strict=True):
+        slam.add_keyframe(frame, T_odom_cam)
+    T_world_newest = slam.T_world_odom() @ drifting[1][-1]
+    np.testing.assert_allclose(T_world_newest, slam.finish().T_world_kf[-1], atol=5e-3)
+    moved = np.linalg.norm(T_world_newest[:3, 3] - drifting[1][-1][:3, 3])
+    assert moved > 0.05
+
+
 def spoiled(**entries):
     T = np.eye(4)
     for name, value in entries.items():
