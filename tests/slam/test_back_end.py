@@ -13,7 +13,15 @@ from slam.features import FeatureExtractor
 from slam.pose_graph import PoseGraph
 from slam.preview import preview
 from slam.stage_clock import StageClock
-from slam.types import Camera, Keyframe, Link, RelativePose, SlamError
+from slam.types import (
+    Camera,
+    Keyframe,
+    Link,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    SlamError,
+)
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 INFORMATION = np.diag([1e6] * 3 + [1e5] * 3)
@@ -86,6 +94,25 @@ def test_loops_that_lost_are_not_trusted(keyframes):
         behind.insert(keyframe, tie, rgb)
     solved = behind.solve()
     assert len(solved.attempts) == 1 and solved.trusted_pairs() == []
+
+
+def test_one_loop_to_another_segment_is_of_no_use_and_a_second_makes_it_one(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    (first, rgb), (second, _), (third, _) = keyframes[:3]
+    behind.insert(first, (), rgb)
+    behind.insert(replace(second, segment=1), (), rgb)
+    solved = behind.solve({0: 1, 1: 2})
+    (alone,) = solved.attempts
+    assert alone.outcome == Rejection(RejectionReason.UNJOINED, 1, 2) and alone.weight is None
+    assert isinstance(alone.verification.outcome, RelativePose)  # what geometry saw stays known
+    assert np.isnan(solved.T_world_kf[0]).all() and np.isfinite(solved.T_world_kf[1]).all()
+    assert solved.trusted_pairs() == []
+    motion = RelativePose(np.eye(4), INFORMATION)
+    behind.insert(replace(third, segment=1), (Link(1, 2, motion),), rgb)
+    solved = behind.solve()
+    assert np.isfinite(solved.T_world_kf).all()
+    assert solved.trusted_pairs() == [(0, 1), (0, 2)]
+    assert [(link.ref_id, link.query_id) for link in solved.links] == [(0, 1), (1, 2)]
 
 
 def drifting(keyframes):
