@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam import se3
-from slam.config import Config
+from slam.config import Config, VerificationConfig
 from slam.features import FeatureExtractor
 from slam.guided_search import FeatureGrid
 from slam.landmark_map import LandmarkMap, empty_pairs
@@ -82,7 +82,7 @@ class RgbdOdometry:
 
     @property
     def map(self) -> LandmarkMap:
-        """All keyframes and landmarks so far, in the odometry's frame."""
+        """All keyframes and landmarks so far, each segment in an odometry's frame of its own."""
         return self._local_map.whole
 
     def start_session(self) -> None:
@@ -135,26 +135,31 @@ class RgbdOdometry:
 
     def _recover(self, view: View) -> Placement | Rejection:
         """Compare the view with all features of the last keyframes, wherever it may be."""
+        config = self._tracking_config
         for trail in reversed(self._trails):
-            placement = self._recover_on(trail, view)
+            placement = self._recover_on(trail, view, config)
             if isinstance(placement, Placement):
                 self._trails.remove(trail)
                 self._trails.append(trail)
                 return placement
+            if trail.is_followed:  # what was before it is a jump across the map
+                config = self._link_config
         return placement
 
-    def _recover_on(self, trail: Trail, view: View) -> Placement | Rejection:
+    def _recover_on(
+        self, trail: Trail, view: View, config: VerificationConfig
+    ) -> Placement | Rejection:
         rejections = []
         for keyframe in reversed(trail.recent):
             outcome = estimate_relative_pose(
-                keyframe.features, view.features, self._camera, self._tracking_config
+                keyframe.features, view.features, self._camera, config
             ).outcome
             if isinstance(outcome, Rejection):
                 rejections.append(outcome)
                 continue
             T_odom_cam = self.map.keyframes[keyframe.id].T_map_cam @ outcome.T_ref_query
             seen_ids = self.map.seen_by([keyframe.id])
-            placement = look_around(self.map, view, T_odom_cam, seen_ids, self._tracking_config)
+            placement = look_around(self.map, view, T_odom_cam, seen_ids, config)
             if isinstance(placement, Placement):
                 return placement
             rejections.append(placement)
