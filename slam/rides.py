@@ -67,9 +67,15 @@ class Rides:
             warnings.append(
                 f"{len(unjoined_s)} of {total} frames, from {unjoined_s[0]:.3f} s to"
                 f" {unjoined_s[-1]:.3f} s, were tracked apart from the rest and are in no"
-                " trajectory: too few loops agree where this part of the map lies to its largest"
+                f" trajectory: too few loops agree where they belong{self._beginning(T_any_kf)}"
             )
         return tuple(warnings)
+
+    def _beginning(self, T_any_kf: FloatArray) -> str:
+        start_s = self.trajectory(T_any_kf).timestamps_s[0]
+        if start_s == self._rides[0].timestamp_s:
+            return ""
+        return f"; the map is the part with the most frames, which begins at {start_s:.3f} s"
 
     def _on(self, T_any_kf: FloatArray) -> list[_Ride]:
         return [ride for ride in self._rides if ride.keyframe_id < len(T_any_kf)]

@@ -49,5 +49,8 @@ def test_lost_frames_and_those_apart_are_warned_of(rides):
     lost, apart = rides.warnings(poses(0.0, np.nan, 7.0))
     assert lost.startswith("3 of 9 frames could not be tracked") and lost.endswith("2.000 s")
     assert apart.startswith("2 of 9 frames, from 10.000 s to 11.000 s, were tracked apart")
+    assert apart.endswith("where they belong")
     assert rides.warnings(poses(0.0, 4.0, 7.0)) == (lost,)
+    _, first = rides.warnings(poses(np.nan, np.nan, 7.0))
+    assert first.startswith("4 of 9 frames") and first.endswith("begins at 20.000 s")
     assert Rides().warnings(poses()) == ()
