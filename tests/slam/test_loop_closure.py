@@ -50,10 +50,10 @@ def views(make_views):
     return make_views(T_REF_QUERY)
 
 
-def keyframe(number, features, timestamp_s=None, turning_rad_s=0.0):
+def keyframe(number, features, timestamp_s=None, turning_rad_s=0.0, segment=0):
     timestamp_s = float(number) if timestamp_s is None else timestamp_s
     preview = Frame(timestamp_s, IMAGE, np.zeros((4, 4), np.float32))
-    return Keyframe(number, timestamp_s, np.eye(4), features, preview, turning_rad_s)
+    return Keyframe(number, timestamp_s, np.eye(4), features, preview, turning_rad_s, segment)
 
 
 def run(loop_closer, views, angles_deg, step_s=1.0):
@@ -123,6 +123,40 @@ def test_only_keyframes_outside_the_time_window_are_looked_at(views):
     ]
     attempts = run(closer(camera=views.camera, min_gap_s=3.1, candidates=10), views, [0] * 5)
     assert [pairs(each) for each in attempts] == [[], [], [], [], [(4, 0)]]
+
+
+def close_all(loop_closer, views, segments):
+    """Close loops of keyframes a second apart that look the same, one for each segment named."""
+    return [
+        loop_closer.close(keyframe(k, views.reference, segment=segment), direction(k))
+        for k, segment in enumerate(segments)
+    ]
+
+
+def test_all_keyframes_of_other_segments_are_looked_at_however_new(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    attempts = close_all(loop_closer, views, [0, 0, 1, 1, 0, 2])
+    assert [pairs(each) for each in attempts] == [
+        [],
+        [],
+        [(2, 1), (2, 0)],
+        [(3, 1), (3, 0)],
+        [(4, 3), (4, 2), (4, 1), (4, 0)],
+        [(5, 4), (5, 3), (5, 2), (5, 1), (5, 0)],
+    ]
+    new = keyframe(6, views.reference, segment=0)
+    attempts = loop_closer.close(new, direction(6), linked_ids=[4, 1])
+    assert pairs(attempts) == [(6, 5), (6, 3), (6, 2), (6, 0)]
+
+
+def test_no_more_of_other_segments_than_wanted(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=2)
+    attempts = close_all(loop_closer, views, [0, 0, 1, 0, 0])
+    assert [pairs(each) for each in attempts[2:]] == [
+        [(2, 1), (2, 0)],
+        [(3, 2), (3, 0)],
+        [(4, 2), (4, 1)],
+    ]
 
 
 def test_every_keyframe_beyond_the_window_leaves_an_attempt(views):
@@ -303,3 +337,10 @@ def test_a_certificate_without_any_pair_to_compare_is_told_all_the_same(views):
 def test_a_certificate_of_another_version_is_refused_at_once():
     with pytest.raises(RecognizerError, match="the certificate of another version"):
         closer(Certified("sha256:1"))
+
+
+def test_a_certificate_is_put_beside_pairs_of_two_segments_too(views):
+    loop_closer = closer(Certified(), camera=views.camera, min_gap_s=3.0)
+    close_all(loop_closer, views, [0, 0, 1])
+    live = loop_closer.calibration().live_similarities
+    np.testing.assert_allclose(live, np.cos(np.radians([2, 1])), atol=1e-6)
