@@ -457,7 +457,7 @@ def test_a_recognizer_that_cannot_be_had(run_slam, short_recording, name):
     [
         ("return np.array([np.nan, 1.0])", "NaN or infinite"),
         ("return np.eye(2)", "shape (2, 2)"),
-        ("return np.array([0.0, 0.6, 0.8])", "3 values after 2"),
+        ("return np.array([0.0, 0.6, 0.8])", "shape (3,) after (2,)"),
         ("return np.array([3.0, 4.0])", "length 5"),
         ("raise ValueError('no more memory')", "ValueError: no more memory"),
     ],
