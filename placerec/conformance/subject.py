@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recognizer that is looked at."""
+
+import inspect
+import traceback
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.conformance.fresh_process import FreshRun, run_in_fresh_process
+from placerec.conformance.pictures import Image, places
+from placerec.recognizer import PlaceRecognizer, RecognizerError, load
+
+
+class Subject:
+    """A recognizer and, where it has one, the name that makes another of its kind.
+
+    Attributes:
+        recognizer: the recognizer.
+        name: what `load` makes one by, None where it was handed over as an object.
+    """
+
+    def __init__(self, recognizer: PlaceRecognizer, name: str | None) -> None:
+        self.recognizer = recognizer
+        self.name = name
+
+    def embed(self, image: Image) -> NDArray[Any]:
+        """Return what the recognizer makes of a copy of an image, as an array.
+
+        Raises:
+            Exception: whatever the recognizer raises.
+        """
+        return np.asarray(self.recognizer.embed(image.copy()))
+
+    @cached_property
+    def embeddings(self) -> list[NDArray[Any]]:
+        """What the recognizer makes of each of the places."""
+        return [self.embed(image) for image in places()]
+
+    def similarities(
+        self, queries: list[NDArray[Any]], references: list[NDArray[Any]]
+    ) -> NDArray[Any]:
+        """Return how similar each of Q embeddings is to each of R, (Q, R)."""
+        similarities: NDArray[Any] = np.stack(queries) @ np.stack(references).T
+        return similarities
+
+    def another(self) -> "Subject":
+        """Return a second one of its kind, made anew.
+
+        Raises:
+            RecognizerError: it has no name, or none can be made.
+        """
+        return Subject(load(self._known_name()), self.name)
+
+    @cached_property
+    def fresh_run(self) -> FreshRun:
+        """What one of its kind does in a Python of its own.
+
+        Raises:
+            RecognizerError: it has no name, or it fails there.
+        """
+        return run_in_fresh_process(self._known_name())
+
+    def _known_name(self) -> str:
+        if self.name is None:
+            raise RecognizerError("the recognizer has no name to make another one by")
+        return self.name
+
+    def explain(self, error: Exception) -> str:
+        """Return an exception as one line that ends in where the recognizer raised it."""
+        text = " ".join(str(error).split())
+        kind = "" if isinstance(error, RecognizerError) else type(error).__name__
+        lines = [frame for frame in traceback.extract_tb(error.__traceback__) if self._owns(frame)]
+        where = f" ({lines[-1].filename}:{lines[-1].lineno})" if lines else ""
+        return ": ".join(part for part in (kind, text) if part) + where
+
+    def _owns(self, frame: traceback.FrameSummary) -> bool:
+        try:
+            return frame.filename == inspect.getfile(type(self.recognizer))
+        except (TypeError, OSError):  # of a class that was typed in, or not written in Python
+            return False
