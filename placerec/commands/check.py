@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """`placerec check`: does a recognizer keep to the protocol?"""
 
+from collections import Counter
+from collections.abc import Iterator
+from itertools import groupby
 from math import isfinite
 from typing import Annotated
 
 import tyro
 
 from placerec.commands.data import RECOGNIZER
-from placerec.conformance import CHECKS, SECTIONS, Examination, Finding, Verdict
+from placerec.conformance import CHECKS, PLACES, SECTIONS, Examination, Finding, Verdict
 from placerec.recognizer import load
 
 DOES_NOT_CONFORM = 1
-PLACES = 10_000
+IN_A_MAP = 10_000
 WIDTH = max(len(check.name) for check in CHECKS)
 
 
@@ -19,45 +22,55 @@ def check(
     recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=RECOGNIZER)],
     /,
 ) -> int:
-    """Tell what a recognizer does right and wrong, and what to do about it.
+    """Tell what a recognizer does right and wrong, what to mend, and what it costs.
 
     Args:
         recognizer: an installed name, package.module:ClassName, or trained weights.
     """
     examination = Examination(load(recognizer), recognizer)
+    print(f"{recognizer}, tried out on generated pictures of {PLACES} places", flush=True)
     findings = []
     for section, checks in SECTIONS.items():
-        print(f"\n{section}")
-        for one in checks:
-            findings.append(examination.find(one))
-            print(_row(findings[-1]), flush=True)
-    _print_costs(examination)
-    print(f"\n{recognizer}: {_summary(findings)}")
+        found = [examination.find(check) for check in checks]
+        print(f"\n{section}", *_rows(found), sep="\n", flush=True)
+        findings += found
+    for line in _costs(examination):
+        print(line)
+    print(f"\n{_summary(findings)}")
     return DOES_NOT_CONFORM if any(finding.failed for finding in findings) else 0
 
 
-def _row(finding: Finding) -> str:
-    row = f"  {finding.verdict:<4}  {finding.check.name:<{WIDTH}}  {finding.measured}"
-    return f"{row}\n{'':<8}-> {finding.check.remedy}" if finding.failed else row
+def _rows(findings: list[Finding]) -> Iterator[str]:
+    """Write findings as rows, those in a row that wait for the same to be mended as one."""
+    for (verdict, measured), group in groupby(findings, lambda one: (one.verdict, one.measured)):
+        alike = list(group)
+        if verdict is Verdict.NOT_TRIED and len(alike) > 1:
+            yield _row(verdict, f"{len(alike)} more", measured)
+            continue
+        for finding in alike:
+            yield _row(verdict, finding.check.name, measured)
+            if finding.failed:
+                yield _row("", "", f"-> {finding.check.remedy}")
 
 
-def _print_costs(examination: Examination) -> None:
+def _row(verdict: str, name: str, measured: str) -> str:
+    return f"  {verdict:<4}  {name:<{WIDTH}}  {measured}"
+
+
+def _costs(examination: Examination) -> Iterator[str]:
     cost, own_mb = examination.cost(), examination.own_mb()
-    if cost is None:
-        return
-    kb = cost.embedding_bytes / 1e3
-    print("\nwhat it costs on this machine")
-    print(f"  {cost.embed_ms:.1f} ms per 640x480 image")
-    print(f"  {1e3 * cost.compare_ms:.3g} us to compare two places")
-    print(f"  {kb:.1f} kB per place, {kb * PLACES / 1e3:.0f} MB for {PLACES:,} of them")
+    if cost:
+        kb = cost.embedding_bytes / 1e3
+        yield _row("", "to embed 640x480", f"{cost.embed_ms:.1f} ms")
+        yield _row("", f"to compare with {IN_A_MAP:,}", f"{cost.compare_ms * IN_A_MAP:.1f} ms")
+        yield _row("", f"to keep {IN_A_MAP:,}", f"{kb * IN_A_MAP / 1e3:,.1f} MB, {kb:.1f} kB each")
     if isfinite(own_mb):
-        print(f"  {own_mb:.0f} MB to load and to work, libraries included")
+        yield _row("", "to load and to work", f"{own_mb:.0f} MB, its libraries included")
 
 
 def _summary(findings: list[Finding]) -> str:
-    counts = {one: sum(finding.verdict is one for finding in findings) for one in Verdict}
-    if not counts[Verdict.FAILED]:
-        return f"all {counts[Verdict.PASSED]} checks passed"
-    untried = counts[Verdict.NOT_TRIED]
-    also = f", {untried} not tried" if untried else ""
-    return f"{counts[Verdict.FAILED]} of {len(findings)} checks failed{also}"
+    counts = Counter(finding.verdict for finding in findings)
+    untried = f", {counts[Verdict.NOT_TRIED]} not tried" if counts[Verdict.NOT_TRIED] else ""
+    failed = counts[Verdict.FAILED]
+    what = f"{failed} of {len(findings)} checks failed" if failed else "all checks passed"
+    return f"{what}{untried}"

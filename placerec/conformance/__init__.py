@@ -3,5 +3,16 @@
 
 from placerec.conformance.examination import CHECKS, SECTIONS, Examination, Report, check
 from placerec.conformance.finding import Check, Finding, Verdict
+from placerec.conformance.pictures import PLACES
 
-__all__ = ["CHECKS", "SECTIONS", "Check", "Examination", "Finding", "Report", "Verdict", "check"]
+__all__ = [
+    "CHECKS",
+    "PLACES",
+    "SECTIONS",
+    "Check",
+    "Examination",
+    "Finding",
+    "Report",
+    "Verdict",
+    "check",
+]

@@ -7,15 +7,17 @@ from contextlib import redirect_stdout
 
 import numpy as np
 
-from placerec.conformance.finding import Check, Outcome, judged
+from placerec.conformance.finding import Check, Outcome, judged, not_tried
 from placerec.conformance.pictures import Image, colourless, odd_sizes, places
 from placerec.conformance.subject import Subject
 from placerec.recognizer import MAX_LENGTH_ERROR, CheckedRecognizer, RecognizerError
 
 NUMBERS = "returns numbers"
-SHAPE = "shape (D,)"
+SHAPE = "one shape"
 FINITE = "finite"
+MEMBERS = "its other members"
 LENGTH = "unit length"
+SHOWN = 40
 
 
 def _returns_numbers(subject: Subject) -> Outcome:
@@ -26,18 +28,21 @@ def _returns_numbers(subject: Subject) -> Outcome:
     return judged(values.size > 0, f"{values.size} of them")
 
 
-def _threshold(subject: Subject) -> Outcome:
-    value = subject.recognizer.min_similarity
+def _members(subject: Subject) -> Outcome:
     try:
-        CheckedRecognizer(subject.recognizer)
-    except RecognizerError:
-        return judged(False, repr(value))
-    return judged(True, f"{value:.4g}")
+        checked = CheckedRecognizer(subject.recognizer)
+    except RecognizerError as error:
+        return judged(False, f"{error}")
+    looks_back = f"by itself, looking back {checked.looks_back}"
+    how = looks_back if subject.compares else "by cosine"
+    return judged(True, f"compares {how}, min_similarity {checked.min_similarity:.4g}")
 
 
 def _shape(subject: Subject) -> Outcome:
-    shape = subject.embeddings[0].shape
-    return judged(len(shape) == 1, f"{shape}")
+    shapes = sorted({embedding.shape for embedding in subject.embeddings})
+    is_fixed = len(shapes) == 1 and len(shapes[0]) > 0
+    is_good = is_fixed and (len(shapes[0]) == 1 or subject.compares)
+    return judged(is_good, " and ".join(map(str, shapes)))
 
 
 def _dtype(subject: Subject) -> Outcome:
@@ -47,12 +52,14 @@ def _dtype(subject: Subject) -> Outcome:
 
 
 def _finite(subject: Subject) -> Outcome:
-    is_finite = np.isfinite(subject.embeddings)
+    is_finite = np.isfinite(np.concatenate([embedding.ravel() for embedding in subject.embeddings]))
     bad = int((~is_finite).sum())
     return judged(bad == 0, f"{bad} of {is_finite.size} values are NaN or infinite")
 
 
 def _unit_length(subject: Subject) -> Outcome:
+    if subject.compares:
+        return not_tried("not needed: it compares embeddings by itself")
     lengths = [float(np.linalg.norm(embedding)) for embedding in subject.embeddings]
     good = np.allclose(lengths, 1.0, rtol=0.0, atol=MAX_LENGTH_ERROR)
     return judged(good, f"lengths {min(lengths):.6g} to {max(lengths):.6g}")
@@ -76,8 +83,10 @@ def _like_the_others(subject: Subject, titles: Sequence[str], images: list[Image
             return judged(False, f"{title}: {subject.explain(error)}")
         if embedding.shape != usual:
             return judged(False, f"{title}: shape {embedding.shape}, of others {usual}")
+        if not np.isfinite(embedding).all():
+            return judged(False, f"{title}: values that are NaN or infinite")
         length = float(np.linalg.norm(embedding))
-        if not abs(length - 1.0) <= MAX_LENGTH_ERROR:
+        if not (subject.compares or abs(length - 1.0) <= MAX_LENGTH_ERROR):
             return judged(False, f"{title}: a vector of length {length:.6g}")
     return judged(True, f"{', '.join(titles)}: all {usual}")
 
@@ -93,8 +102,8 @@ def _leaves_image(subject: Subject) -> Outcome:
 def _prints_nothing(subject: Subject) -> Outcome:
     with redirect_stdout(io.StringIO()) as printed:
         subject.embed(places()[0])
-    lines = printed.getvalue().splitlines()
-    return judged(not lines, f"{len(lines)} lines" + (f", the first {lines[0]!r}" if lines else ""))
+    text = printed.getvalue()
+    return judged(not text, f"{len(text)} characters" + (f": {text[:SHOWN]!r}" if text else ""))
 
 
 CHECKS = (
@@ -104,14 +113,14 @@ CHECKS = (
         "embed(image) takes a (480, 640, 3) uint8 RGB array and returns a (D,) float32 array",
     ),
     Check(
-        "min_similarity is a cosine",
-        _threshold,
-        "set it between -1 and 1; `placerec calibrate` finds one on images of yours",
+        MEMBERS,
+        _members,
+        "see placerec.recognizer.PlaceRecognizer; `placerec calibrate` finds min_similarity",
     ),
     Check(
         SHAPE,
         _shape,
-        "return one vector: embedding[0] of a batch of one, embedding.ravel() of a map",
+        "return (D,) for every image: embedding[0] of a batch of one, embedding.ravel() of a map",
         needs=(NUMBERS,),
     ),
     Check(
@@ -135,7 +144,7 @@ CHECKS = (
     Check(
         "grey and empty images",
         _colourless,
-        "where all pixels are alike, deviations and lengths are 0: add a little before dividing",
+        "where pixels are alike, deviations and lengths are 0: add a little before dividing",
         needs=(LENGTH,),
     ),
     Check(
@@ -147,13 +156,13 @@ CHECKS = (
     Check(
         "leaves the image alone",
         _leaves_image,
-        "others use it too: work on image.copy(), or write results to a new array",
+        "it is used after you: work on image.copy()",
         needs=(NUMBERS,),
     ),
     Check(
         "prints nothing",
         _prints_nothing,
-        "stdout belongs to the command: use the module logging",
+        "stdout belongs to the commands: use logging",
         needs=(NUMBERS,),
     ),
 )

@@ -2,15 +2,14 @@
 """All checks of one recognizer."""
 
 import io
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
-from placerec.conformance import answer, recognition, repetition
-from placerec.conformance.finding import Check, Finding, Outcome, Verdict
+from placerec.conformance import answer, memory, recognition, repetition
+from placerec.conformance.finding import Check, Finding, Outcome, Verdict, not_tried
 from placerec.conformance.pictures import places
 from placerec.conformance.subject import Subject
 from placerec.cost import Cost, measure_cost
@@ -20,6 +19,7 @@ SECTIONS = {
     "what it returns": answer.CHECKS,
     "the same image gives the same bytes": repetition.CHECKS,
     "places are found again": recognition.CHECKS,
+    "what it costs on this machine": memory.CHECKS,
 }
 CHECKS: tuple[Check, ...] = tuple(check for checks in SECTIONS.values() for check in checks)
 _BY_NAME = {check.name: check for check in CHECKS}
@@ -58,32 +58,35 @@ class Examination:
     def find(self, check: Check) -> Finding:
         """Return what a check finds; a recognizer that raises has failed it."""
         if check.name not in self._findings:
-            outcome = self._obstacle(check) or self._outcome(check)
+            obstacle = self._obstacle(check)
+            outcome = not_tried(f"first mend {obstacle!r}") if obstacle else self._outcome(check)
             self._findings[check.name] = Finding(check, outcome.verdict, outcome.measured)
         return self._findings[check.name]
 
     def cost(self) -> Cost | None:
-        """Return what an image costs on this machine, None where embeddings are not alike."""
-        if self.find(_BY_NAME[answer.LENGTH]).verdict is not Verdict.PASSED:
+        """Return what an image costs on this machine, None where it cannot be measured."""
+        if self.find(_BY_NAME[recognition.SIMILARITIES]).verdict is not Verdict.PASSED:
             return None
-        ticks, images = [perf_counter()], places()
+        images, ticks = places(), [perf_counter()]
         with redirect_stdout(io.StringIO()):
             for image in images:
-                self._subject.embed(image)
+                self._subject.recognizer.embed(image)
                 ticks.append(perf_counter())
-        return measure_cost(np.stack(self._subject.embeddings), np.diff(ticks))
+        embeddings = np.stack(self._subject.embeddings)
+        return measure_cost(embeddings, np.diff(ticks), self._subject.comparer)
 
     def own_mb(self) -> float:
-        """Return the memory it took to load and to work, in a process of its own, NaN if unknown."""
+        """Return the memory that one of its kind took in a process of its own, NaN if unknown."""
         is_known = self.find(_BY_NAME[repetition.FRESH]).verdict is Verdict.PASSED
         return self._subject.fresh_run.own_mb if is_known else float("nan")
 
-    def _obstacle(self, check: Check) -> Outcome | None:
-        for needed in map(self.find, (_BY_NAME[name] for name in check.needs)):
-            if needed.failed:
-                return Outcome(Verdict.NOT_TRIED, f"first mend {needed.check.name!r}")
-            if needed.verdict is Verdict.NOT_TRIED:
-                return Outcome(Verdict.NOT_TRIED, needed.measured)
+    def _obstacle(self, check: Check) -> str | None:
+        """Return the name of the failed check for which this one would say nothing new."""
+        for name in check.needs:
+            needed = _BY_NAME[name]
+            obstacle = name if self.find(needed).failed else self._obstacle(needed)
+            if obstacle:
+                return obstacle
         return None
 
     def _outcome(self, check: Check) -> Outcome:

@@ -58,3 +58,8 @@ class Finding:
 def judged(is_good: bool, measured: str) -> Outcome:
     """Return the outcome of a check that was made."""
     return Outcome(Verdict.PASSED if is_good else Verdict.FAILED, measured)
+
+
+def not_tried(why: str) -> Outcome:
+    """Return the outcome of a check that could not be made, or need not be."""
+    return Outcome(Verdict.NOT_TRIED, why)

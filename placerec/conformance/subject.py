@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recognizer that is looked at."""
 
-import inspect
 import traceback
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from types import FrameType
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.comparison import COSINES, Comparer
 from placerec.conformance.fresh_process import FreshRun, run_in_fresh_process
 from placerec.conformance.pictures import Image, places
 from placerec.recognizer import PlaceRecognizer, RecognizerError, load
@@ -39,12 +41,15 @@ class Subject:
         """What the recognizer makes of each of the places."""
         return [self.embed(image) for image in places()]
 
-    def similarities(
-        self, queries: list[NDArray[Any]], references: list[NDArray[Any]]
-    ) -> NDArray[Any]:
-        """Return how similar each of Q embeddings is to each of R, (Q, R)."""
-        similarities: NDArray[Any] = np.stack(queries) @ np.stack(references).T
-        return similarities
+    @property
+    def compares(self) -> bool:
+        """Whether it compares its embeddings itself; if not, their cosine does."""
+        return callable(getattr(self.recognizer, "compare", None))
+
+    @property
+    def comparer(self) -> Comparer:
+        """What compares its embeddings, unchecked."""
+        return cast(Comparer, self.recognizer) if self.compares else COSINES
 
     def another(self) -> "Subject":
         """Return a second one of its kind, made anew.
@@ -72,12 +77,14 @@ class Subject:
         """Return an exception as one line that ends in where the recognizer raised it."""
         text = " ".join(str(error).split())
         kind = "" if isinstance(error, RecognizerError) else type(error).__name__
-        lines = [frame for frame in traceback.extract_tb(error.__traceback__) if self._owns(frame)]
-        where = f" ({lines[-1].filename}:{lines[-1].lineno})" if lines else ""
-        return ": ".join(part for part in (kind, text) if part) + where
+        places_in_it = [
+            f" ({Path(frame.f_code.co_filename).name}:{line})"
+            for frame, line in traceback.walk_tb(error.__traceback__)
+            if self.owns(frame)
+        ]
+        return ": ".join(part for part in (kind, text) if part) + "".join(places_in_it[-1:])
 
-    def _owns(self, frame: traceback.FrameSummary) -> bool:
-        try:
-            return frame.filename == inspect.getfile(type(self.recognizer))
-        except (TypeError, OSError):  # of a class that was typed in, or not written in Python
-            return False
+    def owns(self, frame: FrameType) -> bool:
+        """Return whether the package that the recognizer comes from is running there."""
+        running = str(frame.f_globals.get("__name__", ""))
+        return running.split(".")[0] == type(self.recognizer).__module__.split(".")[0]

@@ -20,7 +20,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     try:
         examination = Examination(load(name), name)
     except RecognizerError as error:
-        pytest.fail(str(error), pytrace=False)
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
     tests = [pytest.param(examination, check, id=check.name) for check in CHECKS]
     metafunc.parametrize(("examination", "check"), tests)
 
