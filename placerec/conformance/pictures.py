@@ -11,7 +11,7 @@ Image = NDArray[np.uint8]
 PLACES = 6
 HEIGHT_PX, WIDTH_PX = 480, 640
 SHIFT_PX = 16
-DARKER, BRIGHTER = 0.7, 1.25
+DARKER, BRIGHTER = 0.8, 1.25
 
 
 def places(shift_px: int = 0) -> list[Image]:
