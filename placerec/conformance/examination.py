@@ -11,7 +11,7 @@ import numpy as np
 from placerec.conformance import answer, memory, recognition, repetition
 from placerec.conformance.finding import Check, Finding, Outcome, Verdict, not_tried
 from placerec.conformance.pictures import places
-from placerec.conformance.subject import Subject
+from placerec.conformance.subject import NamelessError, Subject
 from placerec.cost import Cost, measure_cost
 from placerec.recognizer import PlaceRecognizer
 
@@ -93,5 +93,7 @@ class Examination:
         with redirect_stdout(io.StringIO()):  # what it prints has a check of its own
             try:
                 return check.run(self._subject)
+            except NamelessError as reason:
+                return not_tried(f"{reason}")
             except Exception as error:
                 return Outcome(Verdict.FAILED, self._subject.explain(error))

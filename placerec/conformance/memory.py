@@ -12,8 +12,6 @@ MAX_KEPT_MB = 0.2
 
 
 def _keeps_no_images(subject: Subject) -> Outcome:
-    if subject.name is None:
-        return not_tried("there is no name to make another one by")
     kept_mb = subject.fresh_run.kept_mb
     if np.isnan(kept_mb):
         return not_tried("only Linux tells how much memory is taken")

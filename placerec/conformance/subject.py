@@ -16,6 +16,10 @@ from placerec.conformance.pictures import Image, places
 from placerec.recognizer import PlaceRecognizer, RecognizerError, load
 
 
+class NamelessError(Exception):
+    """Another recognizer of the kind cannot be made, for it was handed over without a name."""
+
+
 class Subject:
     """A recognizer and, where it has one, the name that makes another of its kind.
 
@@ -55,7 +59,8 @@ class Subject:
         """Return a second one of its kind, made anew.
 
         Raises:
-            RecognizerError: it has no name, or none can be made.
+            NamelessError: it has no name.
+            RecognizerError: none can be made.
         """
         return Subject(load(self._known_name()), self.name)
 
@@ -64,25 +69,26 @@ class Subject:
         """What one of its kind does in a Python of its own.
 
         Raises:
-            RecognizerError: it has no name, or it fails there.
+            NamelessError: it has no name.
+            RecognizerError: it fails there.
         """
         return run_in_fresh_process(self._known_name())
 
     def _known_name(self) -> str:
         if self.name is None:
-            raise RecognizerError("the recognizer has no name to make another one by")
+            raise NamelessError("there is no name to make another one by")
         return self.name
 
     def explain(self, error: Exception) -> str:
         """Return an exception as one line that ends in where the recognizer raised it."""
         text = " ".join(str(error).split())
         kind = "" if isinstance(error, RecognizerError) else type(error).__name__
-        places_in_it = [
+        lines = [
             f" ({Path(frame.f_code.co_filename).name}:{line})"
             for frame, line in traceback.walk_tb(error.__traceback__)
             if self.owns(frame)
         ]
-        return ": ".join(part for part in (kind, text) if part) + "".join(places_in_it[-1:])
+        return ": ".join(part for part in (kind, text) if part) + "".join(lines[-1:])
 
     def owns(self, frame: FrameType) -> bool:
         """Return whether the package that the recognizer comes from is running there."""
