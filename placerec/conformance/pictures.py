@@ -15,8 +15,8 @@ DARKER, BRIGHTER = 0.8, 1.25
 
 
 def places(shift_px: int = 0) -> list[Image]:
-    """Return a (480, 640, 3) picture of each place, the camera moved right and down by pixels."""
-    window = np.s_[shift_px : shift_px + HEIGHT_PX, shift_px : shift_px + WIDTH_PX]
+    """Return a (480, 640, 3) picture of each place, the camera turned right by some pixels."""
+    window = np.s_[:, shift_px : shift_px + WIDTH_PX]
     return [np.ascontiguousarray(_wall(seed)[window]) for seed in range(PLACES)]
 
 
@@ -41,10 +41,9 @@ def odd_sizes() -> list[Image]:
 
 @cache
 def _wall(seed: int) -> Image:
-    """Return a picture of a wall hung with plain and striped boards, larger than one view."""
+    """Return a picture of a wall hung with plain and striped boards, wider than one view."""
     rng = np.random.default_rng(seed)
-    size = (HEIGHT_PX + SHIFT_PX, WIDTH_PX + SHIFT_PX, 3)
-    image = np.full(size, rng.integers(60, 200, 3), np.uint8)
+    image = np.full((HEIGHT_PX, WIDTH_PX + SHIFT_PX, 3), rng.integers(60, 200, 3), np.uint8)
     for _ in range(40):
         top, left = rng.integers(0, HEIGHT_PX - 40), rng.integers(0, WIDTH_PX - 40)
         board = image[top : top + rng.integers(20, 160), left : left + rng.integers(20, 160)]
