@@ -39,7 +39,7 @@ class AmosNet:
     """
 
     FILE = "AmosNet"
-    min_similarity: float = 0.5
+    min_similarity: float = 0.62
     looks_back = 0
 
     def __init__(self) -> None:

@@ -44,7 +44,7 @@ class RMac:
     """
 
     NAME = "r-mac"
-    min_similarity: float = 0.5
+    min_similarity: float = 0.055
     looks_back = 0
 
     def __init__(self) -> None:

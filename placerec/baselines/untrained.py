@@ -26,7 +26,7 @@ class UntrainedLayer:
     """
 
     NAME = "untrained"
-    min_similarity: float = 0.5
+    min_similarity: float = 0.28
 
     def __init__(self) -> None:
         """Read the mean and the published weights.
