@@ -48,9 +48,13 @@ def fit(
 
 
 def _fit_of(name: str) -> Callable[[Iterable[Image]], Fitted]:
-    entries = tuple(entry_points(group=ENTRY_POINT_GROUP))
-    found = [getattr(entry.load(), "fit", None) for entry in entries if entry.name == name]
-    if not found or found[0] is None:
+    entries = entry_points(group=ENTRY_POINT_GROUP, name=name)
+    try:
+        found = [getattr(entry.load(), "fit", None) for entry in entries]
+    except Exception as error:
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RecognizerError(f"recognizer {name!r} cannot be imported: {why}") from error
+    if len(found) != 1 or found[0] is None:
         raise RecognizerError(f"there is nothing to fit in a recognizer {name!r}")
     return cast(Callable[[Iterable[Image]], Fitted], found[0])
 

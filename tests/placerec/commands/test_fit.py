@@ -26,6 +26,7 @@ def installed(tmp_path, monkeypatch):
     (folder / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(
         "[placerec.recognizers]\nbrightness = fit_of_a_test:Brightness\nplain = builtins:object\n"
+        "broken = no_such_module:Recognizer\n"
     )
     monkeypatch.setattr(sys, "path", [str(tmp_path / "site"), *sys.path])
     monkeypatch.setitem(sys.modules, "fit_of_a_test", sys.modules[__name__])
@@ -64,6 +65,13 @@ def test_of_a_dataset_it_sees_the_part_for_training(tmp_path, write_image, capsy
 def test_where_there_is_nothing_to_fit_it_says_so(name, folder, capsys):
     assert main(["fit", name, str(folder)]) == 2
     assert f"nothing to fit in a recognizer '{name}'" in capsys.readouterr().err
+
+
+def test_a_recognizer_that_cannot_be_imported_is_one_line(folder, capsys):
+    assert main(["fit", "broken", str(folder)]) == 2
+    error = capsys.readouterr().err
+    assert "recognizer 'broken' cannot be imported: ModuleNotFoundError" in error
+    assert error.count("\n") == 1
 
 
 def test_a_broken_image_or_no_folder_is_one_line(folder, capsys):
