@@ -46,6 +46,7 @@ PARTS: dict[str, tuple[Any, str]] = {
     "waiting for loops": (BackEnd, "settle"),
 }
 LONGEST = 5
+LIMIT_MS = 100.0
 
 
 @dataclass
@@ -132,27 +133,34 @@ def calls_of_a_run(sequence: Sequence, recognizer: PlaceRecognizer) -> list[Call
     return calls
 
 
+GROUPS: dict[str, Callable[[Call], bool]] = {
+    "all": lambda _: True,
+    "the first": lambda call: call.frame == 0,
+    "later keyframes": lambda call: call.is_keyframe and call.frame > 0,
+    "other frames": lambda call: not call.is_keyframe and call.frame > 0,
+}
+
+
 def distribution(runs: list[list[Call]]) -> str:
-    """Return a table: the figures of all calls, of keyframes and of the others; worst of runs."""
-    groups: dict[str, Callable[[Call], bool]] = {
-        "all": lambda _: True,
-        "the first frame": lambda call: call.frame == 0,
-        "later keyframes": lambda call: call.is_keyframe and call.frame > 0,
-        "other frames": lambda call: not call.is_keyframe and call.frame > 0,
-    }
+    """Return a table: how long calls took, and how long they computed; the worst of the runs."""
     lines = [
         "| calls | number | median, ms | 95 % | 99 % | longest | over 100 ms |",
         "|---|---|---|---|---|---|---|",
     ]
-    for title, belongs in groups.items():
-        each_ms = [np.array([call.ms for call in run if belongs(call)]) for run in runs]
-        if not all(len(ms) for ms in each_ms):
-            continue
-        worst = np.max([np.percentile(ms, [50, 95, 99, 100]) for ms in each_ms], axis=0)
-        over = max(int(np.count_nonzero(ms > 100.0)) for ms in each_ms)
-        figures = " | ".join(f"{ms:.1f}" for ms in worst)
-        lines.append(f"| {title} | {len(each_ms[0])} | {figures} | {over} |")
+    for title, belongs in GROUPS.items():
+        chosen = [[call for call in run if belongs(call)] for run in runs]
+        if all(chosen):
+            lines.append(_row(title, [[call.ms for call in calls] for calls in chosen]))
+            computing = [[call.cpu_ms for call in calls] for calls in chosen]
+            lines.append(_row(f"{title}, computing", computing))
     return "\n".join(lines)
+
+
+def _row(title: str, runs_ms: list[list[float]]) -> str:
+    worst = np.max([np.percentile(each_ms, [50, 95, 99, 100]) for each_ms in runs_ms], axis=0)
+    over = max(int(np.count_nonzero(np.array(each_ms) > LIMIT_MS)) for each_ms in runs_ms)
+    figures = " | ".join(f"{ms:.1f}" for ms in worst)
+    return f"| {title} | {len(runs_ms[0])} | {figures} | {over} |"
 
 
 def longest(calls: list[Call], title: str) -> str:
