@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from slam import se3
-from slam.measurement import Measurements, robust
+from slam.measurement import Measurements, robust_costs, robust_weights
 from slam.types import Camera, FloatArray
 
 IntArray = NDArray[np.int64]
@@ -156,13 +156,12 @@ def _points_in_cameras(bundle: Bundle) -> FloatArray:
 def _misfit(bundle: Bundle, camera: Camera) -> _Misfit:
     points_cam_m = _points_in_cameras(bundle)
     residuals, by_point = bundle.measured.residuals(points_cam_m, camera)
-    costs, weights = robust(residuals)
-    roots = np.sqrt(weights)
+    roots = np.sqrt(robust_weights(residuals))
     return _Misfit(
         residuals=_observations_last(roots * residuals),
         by_point=_observations_last(roots[:, :, None] * by_point),
         points_cam_m=_observations_last(points_cam_m),
-        cost=float(costs.sum()),
+        cost=float(robust_costs(residuals).sum()),
     )
 
 
