@@ -122,9 +122,13 @@ class LandmarkMap:
         return keyframe.made
 
     def fuse(self, keyframe_id: int, ids: IntArray, radius_px: float) -> None:
-        """Look for landmarks in a keyframe that has not seen them; two at one place become one."""
+        """Look for landmarks in a keyframe that has not seen them; two at one place become one.
+
+        The (P,) ids are all different.
+        """
         keyframe = self.keyframes[keyframe_id]
-        ids = np.setdiff1d(ids[self.landmarks.is_alive[ids]], self.seen_by([keyframe_id]))
+        seen = self.landmarks.resolve(keyframe.landmark_of)
+        ids = ids[self.landmarks.is_alive[ids] & ~np.isin(ids, seen)]
         pairs = self.search(keyframe.grid, keyframe.T_map_cam, ids, radius_px)
         T_cam_map = se3.inverse(keyframe.T_map_cam)
         points_cam_m = se3.transform(T_cam_map, self.landmarks.positions_m[pairs[:, 0]])
