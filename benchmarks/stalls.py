@@ -43,7 +43,7 @@ PARTS: dict[str, tuple[Any, str]] = {
     "local map": (LocalMap, "insert"),
     "links": (RgbdOdometry, "_links"),
     "preview": (odometry, "preview"),
-    "waiting for loops": (BackEnd, "settle"),
+    "waiting for loops": (BackEnd, "insert"),
 }
 LONGEST = 5
 LIMIT_MS = 100.0
