@@ -38,6 +38,7 @@ from slam.system import Slam
 # What a call is made of, and where; a part within a part counts as the outer one.
 PARTS: dict[str, tuple[Any, str]] = {
     "features": (FeatureExtractor, "extract"),
+    "adjustment": (RgbdOdometry, "settle"),
     "placing": (RgbdOdometry, "_follow"),
     "recovery": (RgbdOdometry, "_recover"),
     "local map": (LocalMap, "insert"),

@@ -141,7 +141,7 @@ class LandmarkMap:
     def seen_by(self, keyframe_ids: Sequence[int]) -> IntArray:
         """Return the ids of the landmarks that any of the keyframes sees, in order."""
         seen = [self.keyframes[k].landmark_of for k in keyframe_ids]
-        ids = np.unique(self.landmarks.resolve(np.concatenate(seen)))
+        ids = np.unique(self.landmarks.resolve(np.concatenate([empty_pairs()[:, 0], *seen])))
         return np.asarray(ids[ids != UNSEEN])
 
     def company(self, ids: IntArray) -> list[int]:

@@ -86,6 +86,7 @@ class RgbdOdometry:
         """Place a frame, or say why it cannot be placed; later frames are tried all the same."""
         features = self._extractor.extract(frame)
         view = View(frame, features, FeatureGrid(features, self._camera))
+        self.settle()
         if not self._recent:
             return self._start(view)
         placement = self._follow(view)
@@ -94,6 +95,13 @@ class RgbdOdometry:
         if isinstance(placement, Rejection):
             return placement
         return self._go_on(view, placement)
+
+    def settle(self) -> None:
+        """Adjust the map to the last keyframe, and go on from where that puts it."""
+        if self._local_map.settle():
+            last_id = self._recent[-1].id
+            self._T_odom_last = self.map.keyframes[last_id].T_map_cam
+            self._last_ids = self.map.seen_by([last_id])
 
     def _start(self, view: View) -> TrackedFrame | Rejection:
         has_depth = np.isfinite(view.features.depth_m)
@@ -147,7 +155,6 @@ class RgbdOdometry:
         if not self._needs_keyframe(placement, T_kf_cam):
             return TrackedFrame(reference.id, T_kf_cam)
         keyframe = self._insert(view, placement, turning_rad_s)
-        T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ keyframe.T_odom_cam
         links = self._links(keyframe, reference, with_floor(T_kf_cam, placement.hessian))
         return TrackedFrame(reference.id, T_kf_cam, keyframe, links)
 
@@ -162,17 +169,15 @@ class RgbdOdometry:
         )
 
     def _insert(self, view: View, placement: Placement, turning_rad_s: float) -> Keyframe:
-        """Make a keyframe of the view, and go on from where the map then says it is."""
+        """Make a keyframe of the view, which stays where it was placed until the next frame."""
         new_id = self._local_map.insert(
             view.features, view.grid, placement.T_map_cam, placement.pairs
         )
-        self._T_odom_last = self.map.keyframes[new_id].T_map_cam
-        self._last_s, self._last_ids = view.frame.timestamp_s, self.map.seen_by([new_id])
-        self._most_shared = 0
+        self._last_s, self._most_shared = view.frame.timestamp_s, 0
         keyframe = Keyframe(
             id=new_id,
             timestamp_s=view.frame.timestamp_s,
-            T_odom_cam=self._T_odom_last,
+            T_odom_cam=placement.T_map_cam,
             features=view.features,
             preview=preview(view.frame),
             turning_rad_s=turning_rad_s,

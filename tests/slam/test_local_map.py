@@ -21,7 +21,9 @@ def insert(local_map, scene, k, T_odom_cam=None):
     pairs = empty_pairs()
     if k:
         pairs = local_map.whole.search(grid, T_odom_cam, local_map.nearby_ids, 8.0)
-    return local_map.insert(scene.features[k], grid, T_odom_cam, pairs)
+    newest = local_map.insert(scene.features[k], grid, T_odom_cam, pairs)
+    local_map.settle()
+    return newest
 
 
 def test_a_keyframe_a_little_off_is_put_right(scene):
