@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from slam import se3
-from slam.measurement import Measurements, robust
+from slam.measurement import Measurements, robust_costs, robust_weights
 from slam.types import Camera, FloatArray
 
 IntArray = NDArray[np.int64]
@@ -57,18 +57,22 @@ def adjust(bundle: Bundle, camera: Camera, max_steps: int) -> Bundle:
     """Return the bundle with the poses and points that fit the observations best."""
     if len(bundle.measured) == 0 or bundle.is_fixed.all():
         return bundle
+    ties = _Ties(bundle)
     damping, refusals = _FIRST_DAMPING, 0
-    system = _linearise(bundle, camera)
+    misfit = _misfit(bundle, camera)
+    system: _System | None = None
     for _ in range(max_steps):
-        moved = _moved(bundle, *_solve(bundle, system, damping))
-        candidate = _linearise(moved, camera)
-        if candidate.cost > system.cost:
+        system = system or _linearise(bundle, misfit, ties)
+        moved = _moved(bundle, *_solve(system, ties, damping))
+        after = _misfit(moved, camera)
+        if after.cost > misfit.cost:
             damping, refusals = 10.0 * damping, refusals + 1
             if refusals > _MAX_REFUSALS:
                 break
             continue
-        gain = (system.cost - candidate.cost) / max(system.cost, 1e-300)
-        bundle, system, damping, refusals = moved, candidate, 0.1 * damping, 0
+        gain = (misfit.cost - after.cost) / max(misfit.cost, 1e-300)
+        bundle, misfit, system = moved, after, None
+        damping, refusals = 0.1 * damping, 0
         if gain < _SMALL_GAIN:
             break
     return bundle
@@ -79,16 +83,67 @@ def agreeing(bundle: Bundle, camera: Camera) -> NDArray[np.bool_]:
     return bundle.measured.agree(_points_in_cameras(bundle), camera)
 
 
+class _Ties:
+    """Who sees whom, as sparse matrices: what stays the same from step to step.
+
+    Attributes:
+        free: (F,), the cameras that may move.
+        by_camera, by_point: (K, O) and (P, O), they add up what belongs to the same one.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        observations, points = len(bundle.measured), len(bundle.points_m)
+        ones, everything = np.ones(observations), np.arange(observations)
+        self.by_camera = scipy.sparse.csr_array(
+            (ones, (bundle.camera_of, everything)), shape=(len(bundle.is_fixed), observations)
+        )
+        self.by_point = scipy.sparse.csr_array(
+            (ones, (bundle.point_of, everything)), shape=(points, observations)
+        )
+        self.free = np.flatnonzero(~bundle.is_fixed)
+        self._of_free = np.flatnonzero(~bundle.is_fixed[bundle.camera_of])
+        self._column = np.searchsorted(self.free, bundle.camera_of[self._of_free])
+        self._point_of = bundle.point_of[self._of_free]
+        self._row_starts = np.searchsorted(self._point_of, np.arange(points + 1))
+
+    def blocks(self, W: FloatArray, by_point: FloatArray | None = None) -> scipy.sparse.bsr_array:
+        """Return (O, 3, 6) blocks, those of free cameras, as a (3 P, 6 F) matrix.
+
+        Each is multiplied by the (P, 3, 3) matrix of its point from the left, if there are such.
+        """
+        blocks = W[self._of_free]
+        if by_point is not None:
+            blocks = by_point[self._point_of] @ blocks
+        shape = (3 * (len(self._row_starts) - 1), 6 * len(self.free))
+        return scipy.sparse.bsr_array((blocks, self._column, self._row_starts), shape=shape)
+
+
+@dataclass(frozen=True)
+class _Misfit:
+    """How far the observations are off, and the robust cost of it.
+
+    Attributes:
+        residuals: (3, O), whitened, weighted.
+        by_point: (3, 3, O), their derivative by the point in the camera's frame.
+        points_cam_m: (3, O), there.
+        cost: of all together.
+    """
+
+    residuals: FloatArray
+    by_point: FloatArray
+    points_cam_m: FloatArray
+    cost: float
+
+
 @dataclass(frozen=True)
 class _System:
-    """The robust cost and its Gauss-Newton approximation."""
+    """The Gauss-Newton approximation of the robust cost."""
 
-    cost: float
     H_cam: FloatArray  # (K, 6, 6)
     g_cam: FloatArray  # (K, 6)
     H_point: FloatArray  # (P, 3, 3)
     g_point: FloatArray  # (P, 3)
-    W: FloatArray  # (O, 6, 3), camera by point, per observation
+    W: FloatArray  # (O, 3, 6), point by camera, per observation
 
 
 def _points_in_cameras(bundle: Bundle) -> FloatArray:
@@ -98,58 +153,60 @@ def _points_in_cameras(bundle: Bundle) -> FloatArray:
     return rotated + T_cam_world[:, :3, 3]
 
 
-def _linearise(bundle: Bundle, camera: Camera) -> _System:
+def _misfit(bundle: Bundle, camera: Camera) -> _Misfit:
     points_cam_m = _points_in_cameras(bundle)
-    residuals, by_point_cam = bundle.measured.residuals(points_cam_m, camera)
-    costs, weights = robust(residuals)
-    # p_cam = exp(-xi) T_cam_world p_world: d p_cam = p_cam x omega - v + R_cam_world d p_world
-    R_cam_world = np.swapaxes(bundle.T_world_cam[:, :3, :3], 1, 2)[bundle.camera_of]
-    J_cam = np.concatenate([by_point_cam @ se3.skews(points_cam_m), -by_point_cam], axis=2)
-    J_point = by_point_cam @ R_cam_world
-    weighted_cam = np.swapaxes(weights[:, :, None] * J_cam, 1, 2)
-    weighted_point = np.swapaxes(weights[:, :, None] * J_point, 1, 2)
-    column = residuals[:, :, None]
-    cameras, points = len(bundle.T_world_cam), len(bundle.points_m)
-    return _System(
-        cost=float(costs.sum()),
-        H_cam=_sum_by(bundle.camera_of, weighted_cam @ J_cam, cameras),
-        g_cam=_sum_by(bundle.camera_of, weighted_cam @ column, cameras)[:, :, 0],
-        H_point=_sum_by(bundle.point_of, weighted_point @ J_point, points),
-        g_point=_sum_by(bundle.point_of, weighted_point @ column, points)[:, :, 0],
-        W=weighted_cam @ J_point,
+    residuals, by_point = bundle.measured.residuals(points_cam_m, camera)
+    roots = np.sqrt(robust_weights(residuals))
+    return _Misfit(
+        residuals=_observations_last(roots * residuals),
+        by_point=_observations_last(roots[:, :, None] * by_point),
+        points_cam_m=_observations_last(points_cam_m),
+        cost=float(robust_costs(residuals).sum()),
     )
 
 
-def _solve(bundle: Bundle, system: _System, damping: float) -> tuple[FloatArray, FloatArray]:
+def _observations_last(values: FloatArray) -> FloatArray:
+    """Return (..., O) of (O, ...): numpy multiplies small matrices several times faster so."""
+    return np.ascontiguousarray(np.moveaxis(values, 0, -1))
+
+
+def _linearise(bundle: Bundle, misfit: _Misfit, ties: _Ties) -> _System:
+    r, A = misfit.residuals, misfit.by_point
+    # p_cam = exp(-xi) T_cam_world p_world: d p_cam = p_cam x omega - v + R_cam_world d p_world
+    R_world_cam = _observations_last(bundle.T_world_cam[bundle.camera_of, :3, :3])
+    J_cam = np.concatenate([np.cross(A, misfit.points_cam_m[None], axis=1), -A], axis=1)
+    J_point = np.einsum("rio,jio->rjo", A, R_world_cam)
+    return _System(
+        H_cam=_added(ties.by_camera, np.einsum("rio,rjo->oij", J_cam, J_cam)),
+        g_cam=_added(ties.by_camera, np.einsum("rio,ro->oi", J_cam, r)),
+        H_point=_added(ties.by_point, np.einsum("rio,rjo->oij", J_point, J_point)),
+        g_point=_added(ties.by_point, np.einsum("rio,ro->oi", J_point, r)),
+        W=np.einsum("rio,rjo->oij", J_point, J_cam),
+    )
+
+
+def _added(by: scipy.sparse.csr_array, values: FloatArray) -> FloatArray:
+    return np.asarray(by @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def _solve(system: _System, ties: _Ties, damping: float) -> tuple[FloatArray, FloatArray]:
     """Return the damped step of cameras (K, 6) and of points (P, 3)."""
-    H_cam, H_point = _damped(system.H_cam, damping), _damped(system.H_point, damping)
-    H_point_inverse = np.linalg.inv(H_point)
-    Y = system.W @ H_point_inverse[bundle.point_of]  # (O, 6, 3)
-    free = np.flatnonzero(~bundle.is_fixed)
-    rank = np.full(len(bundle.is_fixed), -1)
-    rank[free] = np.arange(len(free))
+    free = ties.free
+    H_cam = scipy.sparse.bsr_array(
+        (_damped(system.H_cam[free], damping), np.arange(len(free)), np.arange(len(free) + 1))
+    )
+    H_point_inverse = np.asarray(np.linalg.inv(_damped(system.H_point, damping)), np.float64)
+    W = ties.blocks(system.W)
+    inverse_W = ties.blocks(system.W, H_point_inverse)
     # Two cameras that see the same point are tied through it.
-    of_free = np.flatnonzero(~bundle.is_fixed[bundle.camera_of])
-    a, b = _pairs_of_equal(bundle.point_of[of_free])
-    a, b = of_free[a], of_free[b]
-    ties = -Y[a] @ np.swapaxes(system.W[b], 1, 2)
-    rows = np.concatenate([rank[free], rank[bundle.camera_of[a]]])
-    columns = np.concatenate([rank[free], rank[bundle.camera_of[b]]])
-    S = _block_matrix(rows, columns, np.concatenate([H_cam[free], ties]), len(free))
-    through_points = (Y @ system.g_point[bundle.point_of][:, :, None])[:, :, 0]
-    reduced = system.g_cam - _sum_by(bundle.camera_of, through_points, len(bundle.T_world_cam))
-    step_cam = np.zeros((len(bundle.T_world_cam), 6))
-    step_cam[free] = -splu(S).solve(reduced[free].ravel()).reshape(-1, 6)
-    by_cameras = (np.swapaxes(system.W, 1, 2) @ step_cam[bundle.camera_of][:, :, None])[:, :, 0]
-    pull = system.g_point + _sum_by(bundle.point_of, by_cameras, len(bundle.points_m))
-    return step_cam, -(H_point_inverse @ pull[:, :, None])[:, :, 0]
-
-
-def _moved(bundle: Bundle, step_cam: FloatArray, step_point: FloatArray) -> Bundle:
-    T_world_cam = bundle.T_world_cam.copy()
-    for k in np.flatnonzero(~bundle.is_fixed):
-        T_world_cam[k] = T_world_cam[k] @ se3.exp(step_cam[k])
-    return replace(bundle, T_world_cam=T_world_cam, points_m=bundle.points_m + step_point)
+    reduced = (H_cam - W.T @ inverse_W).tocsc()
+    step_free = -splu(reduced).solve(
+        system.g_cam[free].ravel() - inverse_W.T @ system.g_point.ravel()
+    )
+    by_cameras = (inverse_W @ step_free).reshape(-1, 3)
+    step_cam = np.zeros(system.g_cam.shape)
+    step_cam[free] = step_free.reshape(-1, 6)
+    return step_cam, -np.einsum("pij,pj->pi", H_point_inverse, system.g_point) - by_cameras
 
 
 def _damped(blocks: FloatArray, damping: float) -> FloatArray:
@@ -159,34 +216,8 @@ def _damped(blocks: FloatArray, damping: float) -> FloatArray:
     return np.asarray(blocks + (damping * diagonal + 1e-6)[:, :, None] * np.eye(size))
 
 
-def _sum_by(index: IntArray, values: FloatArray, count: int) -> FloatArray:
-    """Return (count, ...), the sums of the values with the same index."""
-    flat = values.reshape(len(values), -1)
-    rows = scipy.sparse.csr_matrix(
-        (np.ones(len(index)), (index, np.arange(len(index)))), shape=(count, len(index))
-    )
-    return np.asarray(rows @ flat).reshape(count, *values.shape[1:])
-
-
-def _pairs_of_equal(values: IntArray) -> tuple[IntArray, IntArray]:
-    """Return all index pairs (i, j), i = j included, of equal entries of increasing values."""
-    _, first, inverse, counts = np.unique(
-        values, return_index=True, return_inverse=True, return_counts=True
-    )
-    lengths = counts[inverse]
-    i = np.repeat(np.arange(len(values)), lengths)
-    within = np.arange(len(i)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    return i, first[inverse][i] + within
-
-
-def _block_matrix(
-    rows: IntArray, columns: IntArray, blocks: FloatArray, count: int
-) -> scipy.sparse.csc_matrix:
-    """Return the (6 count, 6 count) matrix with the sums of (6, 6) blocks at their places."""
-    places, inverse = np.unique(rows * count + columns, return_inverse=True)
-    summed = _sum_by(inverse, blocks, len(places))
-    inner = np.arange(6)
-    i = (6 * (places // count))[:, None, None] + inner[:, None] + np.zeros(6, dtype=np.int64)
-    j = (6 * (places % count))[:, None, None] + inner[None, :] + np.zeros((6, 1), dtype=np.int64)
-    entries = (summed.ravel(), (i.ravel(), j.ravel()))
-    return scipy.sparse.csc_matrix(entries, shape=(6 * count, 6 * count))
+def _moved(bundle: Bundle, step_cam: FloatArray, step_point: FloatArray) -> Bundle:
+    T_world_cam = bundle.T_world_cam.copy()
+    for k in np.flatnonzero(~bundle.is_fixed):
+        T_world_cam[k] = T_world_cam[k] @ se3.exp(step_cam[k])
+    return replace(bundle, T_world_cam=T_world_cam, points_m=bundle.points_m + step_point)

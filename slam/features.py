@@ -36,7 +36,7 @@ class FeatureExtractor:
         keypoints, descriptors = self._orb.compute(grey, keypoints)
         if descriptors is None:
             return _no_features()
-        pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
+        pixels = _pixels(keypoints)
         undistorted_px = undistort(pixels, self._camera)
         depth_m = _depth_at(pixels, frame.depth_m, self._config.max_depth_m)
         return Features(
@@ -81,6 +81,10 @@ def back_project(undistorted_px: FloatArray, depth_m: FloatArray, camera: Camera
     return np.stack([x * depth_m, y * depth_m, depth_m], axis=1)
 
 
+def _pixels(keypoints: Any) -> FloatArray:
+    return np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64).reshape(-1, 2)
+
+
 def _depth_at(pixels: FloatArray, depth_image_m: NDArray[np.float32], max_m: float) -> FloatArray:
     u, v = np.rint(pixels).astype(np.int64).T
     depth_m = depth_image_m[v, u].astype(np.float64)
@@ -93,7 +97,8 @@ def _spread(keypoints: Any, count: int) -> NDArray[np.int64]:
     if len(keypoints) <= count:
         return np.arange(len(keypoints))
     cell_px = 40
-    cells = np.array([(k.pt[1] // cell_px) * 1000 + k.pt[0] // cell_px for k in keypoints])
+    column, row = (_pixels(keypoints) // cell_px).T
+    cells = 1000 * row + column
     strength = np.array([k.response for k in keypoints])
     by_cell = np.lexsort((-strength, cells))
     sorted_cells = cells[by_cell]

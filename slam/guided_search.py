@@ -15,7 +15,8 @@ class FeatureGrid:
     """The features of one frame, sorted into the cells of a grid."""
 
     def __init__(self, features: Features, camera: Camera) -> None:
-        self._features = features
+        self._octaves = features.octaves
+        self._u, self._v = np.ascontiguousarray(features.undistorted_px.T)
         self._words = _words(features.descriptors)
         self._columns = int(np.ceil(camera.width / _CELL_PX))
         self._rows = int(np.ceil(camera.height / _CELL_PX))
@@ -44,12 +45,13 @@ class FeatureGrid:
             max_distance: largest Hamming distance of a pair.
         """
         point, feature = self._near(expected_px, radius_px)
-        offset = self._features.undistorted_px[feature] - expected_px[point]
-        is_near = (offset**2).sum(axis=1) <= radius_px[point] ** 2
-        is_near &= np.abs(self._features.octaves[feature] - octaves[point]) <= 1.5
+        u, v = np.ascontiguousarray(expected_px.T)
+        offset_u, offset_v = self._u[feature] - u[point], self._v[feature] - v[point]
+        is_near = offset_u**2 + offset_v**2 <= (radius_px**2)[point]
+        is_near &= np.abs(self._octaves[feature] - octaves[point]) <= 1.5
         point, feature = point[is_near], feature[is_near]
-        differing = self._words[feature] ^ _words(descriptors[point])
-        distance = np.bitwise_count(differing).sum(axis=1, dtype=np.int64)
+        differing = self._words[feature] ^ _words(descriptors)[point]
+        distance = np.bitwise_count(differing) @ np.ones(differing.shape[1], dtype=np.int64)
         is_alike = distance <= max_distance
         return _mutual_best(point[is_alike], feature[is_alike], distance[is_alike])
 
@@ -85,7 +87,13 @@ def _ranges(lengths: IntArray) -> tuple[IntArray, IntArray]:
 def _mutual_best(point: IntArray, feature: IntArray, distance: IntArray) -> IntArray:
     order = np.lexsort((feature, point, distance))  # ties have one winner
     point, feature = point[order], feature[order]
-    _, best_of_point = np.unique(point, return_index=True)
-    _, best_of_feature = np.unique(feature, return_index=True)
-    best = np.intersect1d(best_of_point, best_of_feature)
-    return np.column_stack([point[best], feature[best]])
+    is_mutual = _is_first(point) & _is_first(feature)
+    return np.column_stack([point[is_mutual], feature[is_mutual]])
+
+
+def _is_first(values: IntArray) -> NDArray[np.bool_]:
+    """Return which of some small numbers stand where they occur for the first time."""
+    places = np.arange(len(values))
+    first = np.empty(values.max(initial=-1) + 1, dtype=np.int64)
+    first[values[::-1]] = places[::-1]  # the last one that is written stays
+    return np.asarray(first[values] == places)

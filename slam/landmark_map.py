@@ -122,9 +122,13 @@ class LandmarkMap:
         return keyframe.made
 
     def fuse(self, keyframe_id: int, ids: IntArray, radius_px: float) -> None:
-        """Look for landmarks in a keyframe that has not seen them; two at one place become one."""
+        """Look for landmarks in a keyframe that has not seen them; two at one place become one.
+
+        The (P,) ids are all different.
+        """
         keyframe = self.keyframes[keyframe_id]
-        ids = np.setdiff1d(ids[self.landmarks.is_alive[ids]], self.seen_by([keyframe_id]))
+        seen = self.landmarks.resolve(keyframe.landmark_of)
+        ids = ids[self.landmarks.is_alive[ids] & ~np.isin(ids, seen)]
         pairs = self.search(keyframe.grid, keyframe.T_map_cam, ids, radius_px)
         T_cam_map = se3.inverse(keyframe.T_map_cam)
         points_cam_m = se3.transform(T_cam_map, self.landmarks.positions_m[pairs[:, 0]])
@@ -137,7 +141,7 @@ class LandmarkMap:
     def seen_by(self, keyframe_ids: Sequence[int]) -> IntArray:
         """Return the ids of the landmarks that any of the keyframes sees, in order."""
         seen = [self.keyframes[k].landmark_of for k in keyframe_ids]
-        ids = np.unique(self.landmarks.resolve(np.concatenate(seen)))
+        ids = np.unique(self.landmarks.resolve(np.concatenate([empty_pairs()[:, 0], *seen])))
         return np.asarray(ids[ids != UNSEEN])
 
     def company(self, ids: IntArray) -> list[int]:

@@ -73,9 +73,10 @@ class Measurements:
         """
         expected, derivative = project(points_cam_m, camera)
         residuals = (expected - self.seen) / self.sigma
-        known = np.isfinite(residuals)
-        derivative = np.where(known[:, :, None], derivative / self.sigma[:, :, None], 0.0)
-        return np.where(known, residuals, 0.0), derivative
+        derivative /= self.sigma[:, :, None]
+        unknown = ~np.isfinite(residuals)
+        residuals[unknown], derivative[unknown] = 0.0, 0.0
+        return residuals, derivative
 
     def agree(self, points_cam_m: FloatArray, camera: Camera) -> NDArray[np.bool_]:
         """Return (M,) bool: which of (M, 3) points, camera frame, were seen where they are.
@@ -83,21 +84,30 @@ class Measurements:
         Depth has no say in it: where it is wrong, the pixel may still be right.
         """
         residuals, _ = self.residuals(points_cam_m, camera)
-        fits = np.linalg.norm(residuals[:, :2], axis=1) < _LIMIT
+        fits = _pixel_lengths(residuals) < _LIMIT
         return np.asarray(fits & (points_cam_m[:, 2] > 0.0))
 
 
-def robust(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the (M,) costs of (M, 3) whitened residuals, and the weights (M, 3), 0 to 1, of each.
-
-    Huber's for the pixel, Cauchy's for the disparity.
-    """
-    lengths = np.linalg.norm(residuals[:, :2], axis=1)
-    pixel_weights = np.minimum(1.0, _HUBER / np.maximum(lengths, 1e-12))
-    pixel_costs = pixel_weights * lengths**2 * (1.0 - 0.5 * pixel_weights)
+def robust_costs(residuals: FloatArray) -> FloatArray:
+    """Return the (M,) costs of (M, 3) whitened residuals: Huber's of pixels, Cauchy's of depth."""
+    lengths, weights = _pixel_lengths(residuals), robust_weights(residuals)[:, 0]
+    pixel_costs = weights * lengths**2 * (1.0 - 0.5 * weights)
     spread = 1.0 + (residuals[:, 2] / _CAUCHY) ** 2
-    costs = pixel_costs + 0.5 * _CAUCHY**2 * np.log(spread)
-    return costs, np.column_stack([pixel_weights, pixel_weights, 1.0 / spread])
+    return np.asarray(pixel_costs + 0.5 * _CAUCHY**2 * np.log(spread))
+
+
+def robust_weights(residuals: FloatArray) -> FloatArray:
+    """Return the weights (M, 3), 0 to 1, that make the squares of residuals grow as their costs."""
+    weights = np.empty_like(residuals)
+    pixel_weights = np.minimum(1.0, _HUBER / np.maximum(_pixel_lengths(residuals), 1e-12))
+    weights[:, 0], weights[:, 1] = pixel_weights, pixel_weights
+    weights[:, 2] = 1.0 / (1.0 + (residuals[:, 2] / _CAUCHY) ** 2)
+    return weights
+
+
+def _pixel_lengths(residuals: FloatArray) -> FloatArray:
+    # What np.linalg.norm does, but it takes its time over short rows.
+    return np.asarray(np.sqrt(residuals[:, 0] ** 2 + residuals[:, 1] ** 2))
 
 
 def project(points_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam import se3
-from slam.measurement import Measurements, robust
+from slam.measurement import Measurements, robust_weights
 from slam.types import Camera, Features, FloatArray
 
 _MAX_STEPS = 8
@@ -125,7 +125,6 @@ def _chain(by_point: FloatArray, by_omega: FloatArray, by_v: FloatArray) -> Floa
 
 
 def _weighted(residuals: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
-    _, weights = robust(residuals)
     flat_J = J.reshape(-1, 6)
-    weighted_J = (weights[:, :, None] * J).reshape(-1, 6)
+    weighted_J = robust_weights(residuals).reshape(-1, 1) * flat_J
     return weighted_J.T @ flat_J, weighted_J.T @ residuals.ravel()

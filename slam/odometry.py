@@ -87,6 +87,7 @@ class RgbdOdometry:
 
     def start_session(self) -> None:
         """Forget where the camera was: it may be anywhere when the next frame comes."""
+        self.settle()
         self._trails = []
 
     def track(self, frame: Frame) -> TrackedFrame | Rejection:
@@ -96,6 +97,7 @@ class RgbdOdometry:
         """
         features = self._extractor.extract(frame)
         view = View(frame, features, FeatureGrid(features, self._camera))
+        self.settle()
         if not self._trails:
             return self._start(view)
         placement = self._follow(view)
@@ -104,6 +106,14 @@ class RgbdOdometry:
         if isinstance(placement, Placement):
             return self._go_on(view, placement)
         return self._start(view) if _with_depth(view) >= self._worth_a_segment else placement
+
+    def settle(self) -> None:
+        """Adjust the map to the last keyframe, and go on from where that puts it."""
+        if self._local_map.settle():
+            trail = self._trails[-1]
+            last_id = trail.recent[-1].id
+            trail.T_odom_last = self.map.keyframes[last_id].T_map_cam
+            trail.last_ids = self.map.seen_by([last_id])
 
     def _start(self, view: View) -> TrackedFrame | Rejection:
         """Begin a segment whose origin is the view."""
@@ -179,7 +189,6 @@ class RgbdOdometry:
         if not self._needs_keyframe(placement, T_kf_cam):
             return TrackedFrame(reference.id, T_kf_cam)
         keyframe = self._insert(view, placement, turning_rad_s)
-        T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ keyframe.T_odom_cam
         links = self._links(keyframe, reference, with_floor(T_kf_cam, placement.hessian))
         return TrackedFrame(reference.id, T_kf_cam, keyframe, links)
 
@@ -196,18 +205,16 @@ class RgbdOdometry:
         )
 
     def _insert(self, view: View, placement: Placement, turning_rad_s: float) -> Keyframe:
-        """Make a keyframe of the view, and go on from where the map then says it is."""
+        """Make a keyframe of the view, which stays where it was placed until the next frame."""
         new_id = self._local_map.insert(
             view.features, view.grid, placement.T_map_cam, placement.pairs
         )
         trail = self._trails[-1]
-        trail.T_odom_last = self.map.keyframes[new_id].T_map_cam
-        trail.last_s, trail.last_ids = view.frame.timestamp_s, self.map.seen_by([new_id])
-        trail.most_shared, self._near = 0, trail.segment
+        trail.last_s, trail.most_shared, self._near = view.frame.timestamp_s, 0, trail.segment
         keyframe = Keyframe(
             id=new_id,
             timestamp_s=view.frame.timestamp_s,
-            T_odom_cam=trail.T_odom_last,
+            T_odom_cam=placement.T_map_cam,
             features=view.features,
             preview=preview(view.frame),
             turning_rad_s=turning_rad_s,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam import se3
-from slam.measurement import Measurements, robust
+from slam.measurement import Measurements, robust_weights
 from slam.types import Camera, FloatArray
 
 _ROUNDS = 3  # each decides anew who agrees
@@ -57,9 +57,8 @@ def _normal_equations(
     points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
     residuals, by_point = measured.residuals(points_cam_m, camera)
     # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
-    J = np.concatenate([by_point @ se3.skews(points_cam_m), -by_point], axis=2)
-    _, weights = robust(residuals)
-    weighted_J = (weights[:, :, None] * J).reshape(-1, 6)
+    J = np.concatenate([by_point @ se3.skews(points_cam_m), -by_point], axis=2).reshape(-1, 6)
+    weighted_J = robust_weights(residuals).reshape(-1, 1) * J
     # A trace of curvature keeps the step finite where few points leave a direction open.
-    hessian = weighted_J.T @ J.reshape(-1, 6) + 1e-6 * np.eye(6)
+    hessian = weighted_J.T @ J + 1e-6 * np.eye(6)
     return hessian, weighted_J.T @ residuals.ravel()

@@ -14,8 +14,9 @@ def preview(frame: Frame) -> Frame:
     Pixel (u, v) of the preview's depth is pixel (2 u, 2 v) of the frame's.
     """
     height, width = (size // 2 * 2 for size in frame.depth_m.shape)
-    rgb = frame.rgb[:height, :width].astype(np.uint16)
-    summed = rgb[::2, ::2] + rgb[1::2, ::2] + rgb[::2, 1::2] + rgb[1::2, 1::2]
+    rgb = frame.rgb[:height, :width]
+    rows = np.add(rgb[::2], rgb[1::2], dtype=np.uint16)
+    summed = rows[:, ::2] + rows[:, 1::2]
     return Frame(
         timestamp_s=frame.timestamp_s,
         rgb=(summed // 4).astype(np.uint8),

@@ -197,6 +197,7 @@ class Slam:
 
     def _where_tracking_put(self, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
         """Return the keyframes at their final places in the tracker's map, without any loop."""
+        self._odometry.settle()
         mapped = self._odometry.map.keyframes[: len(keyframes)]
         return tuple(
             replace(keyframe, T_odom_cam=each.T_map_cam)

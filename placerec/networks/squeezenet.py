@@ -51,9 +51,12 @@ def _layers() -> nn.Sequential:
 
 
 def _blocks() -> dict[str, int]:
-    with torch.device("meta"):  # names only, no numbers
-        names = [name for name, _ in _layers().named_children()]
-    return {name: count for count, name in enumerate(names, 1) if name != "conv1"}
+    blocks = {"relu1": 2, "pool1": 3}
+    for number in SQUEEZED:
+        blocks[f"fire{number}"] = max(blocks.values()) + 1
+        if number in POOLED:
+            blocks[f"pool{number}"] = max(blocks.values()) + 1
+    return blocks
 
 
 def _name_in_file(parameter: str) -> str:

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+import time
+
 import numpy as np
 import pytest
 
+from slam import local_map as module
 from slam import se3
 from slam.config import Config
 from slam.guided_search import FeatureGrid
@@ -15,7 +18,13 @@ def scene(make_scene):
 
 
 def insert(local_map, scene, k, T_odom_cam=None):
-    """Insert a keyframe as the tracker does: with what it finds nearby."""
+    """Insert a keyframe as the tracker does, with what it finds nearby, and wait."""
+    newest = insert_only(local_map, scene, k, T_odom_cam)
+    local_map.settle()
+    return newest
+
+
+def insert_only(local_map, scene, k, T_odom_cam=None):
     grid = FeatureGrid(scene.features[k], scene.camera)
     T_odom_cam = scene.T_world_cam[k] if T_odom_cam is None else T_odom_cam
     pairs = empty_pairs()
@@ -31,6 +40,49 @@ def test_a_keyframe_a_little_off_is_put_right(scene):
         assert insert(local_map, scene, k, scene.T_world_cam[k] @ off) == k
     error = se3.inverse(scene.T_world_cam[3]) @ local_map.whole.keyframes[3].T_map_cam
     assert se3.translation_norm(error) < 0.002
+
+
+def off(scene, k):
+    return scene.T_world_cam[k] @ se3.exp(np.array([0.002, 0.0, 0.0, 0.004, 0.0, 0.0]))
+
+
+def test_a_keyframe_stays_where_it_is_put_until_the_map_is_settled(scene):
+    local_map = LocalMap(scene.camera, Config())
+    insert(local_map, scene, 0)
+    insert_only(local_map, scene, 1, off(scene, 1))
+    time.sleep(0.2)  # more than enough for the adjustment
+    np.testing.assert_array_equal(local_map.whole.keyframes[1].T_map_cam, off(scene, 1))
+    assert local_map.settle() and not local_map.settle()
+    error = se3.inverse(scene.T_world_cam[1]) @ local_map.whole.keyframes[1].T_map_cam
+    assert se3.translation_norm(error) < 0.003
+
+
+def test_the_next_keyframe_enters_a_settled_map(scene):
+    local_map = LocalMap(scene.camera, Config())
+    insert(local_map, scene, 0)
+    insert_only(local_map, scene, 1, off(scene, 1))
+    insert_only(local_map, scene, 2)
+    assert not np.array_equal(local_map.whole.keyframes[1].T_map_cam, off(scene, 1))
+
+
+def test_a_slow_adjustment_gives_the_same_bits(scene, monkeypatch):
+    def run():
+        local_map = LocalMap(scene.camera, Config())
+        for k in range(5):
+            insert(local_map, scene, k, off(scene, k))
+        return local_map
+
+    def slowly(*arguments):
+        time.sleep(0.05)
+        return adjusted(*arguments)
+
+    fast, adjusted = run(), module.adjusted
+    monkeypatch.setattr(module, "adjusted", slowly)
+    slow = run()
+    for one, other in zip(fast.whole.keyframes, slow.whole.keyframes, strict=True):
+        np.testing.assert_array_equal(one.T_map_cam, other.T_map_cam)
+        np.testing.assert_array_equal(one.landmark_of, other.landmark_of)
+    np.testing.assert_array_equal(fast.nearby_ids, slow.nearby_ids)
 
 
 def test_landmarks_nearby_are_those_of_the_keyframe_and_its_company(scene):
@@ -67,6 +119,7 @@ def test_the_first_keyframe_of_every_segment_stays_where_it_is(scene):
             pairs = local_map.whole.search(grid, scene.T_world_cam[k], local_map.nearby_ids, 8.0)
         off = se3.exp(np.array([0.002, 0.0, 0.0, 0.004, 0.0, 0.0])) if pairs.size else np.eye(4)
         local_map.insert(scene.features[k], grid, scene.T_world_cam[k] @ off, pairs)
+        local_map.settle()
     for k in (0, 3):
         placed = local_map.whole.keyframes[k].T_map_cam
         np.testing.assert_array_equal(placed, scene.T_world_cam[k])
