@@ -63,10 +63,10 @@ class LocalMap:
 
     def settle(self) -> bool:
         """Put the keyframes where they were adjusted to; return whether there were any."""
-        if self._underway is None:
+        underway, self._underway = self._underway, None
+        if underway is None:
             return False
-        put_back(self.whole, self._underway.result())
-        self._underway = None
+        put_back(self.whole, underway.result())
         self.nearby_ids = self.whole.seen_by(self._window)
         return True
 
