@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of visual words: ORB, a vocabulary tree and tf-idf, which is what ORB-SLAM uses."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.baselines.vocabulary_tree import Descriptors, VocabularyTree, grow
+from placerec.fitted_file import Fitted, hash_arrays, read_fitted, write_fitted
+from placerec.recognizer import RecognizerError
+
+NAME = "bag-of-words"
+SHIPPED = Path(__file__).parents[1] / "weights" / "bag_of_words.safetensors"
+CHILDREN, DEPTH = 16, 3
+"""Of the tree: 4096 words."""
+LONGER_SIDE_PX = 640
+FEATURES = 1000
+FAST_THRESHOLD = 7
+BORDER_PX = 19
+ORB_BYTES = 32
+LEAST_SIDE_PX = 2 * BORDER_PX + 1
+"""ORB sees nothing in less, and OpenCV fails where a level of its pyramid has no pixel."""
+
+
+class BagOfWords:
+    """How often which word is seen, weighed by how rare it is (tf-idf); the cosine compares.
+
+    Attributes:
+        min_similarity: kept with the vocabulary; the shipped one's is what `placerec calibrate`
+            finds on the validation floors of ie_tower.
+        trained_on: the datasets that the vocabulary is of.
+    """
+
+    min_similarity: float
+
+    def __init__(self, path: Path = SHIPPED) -> None:
+        """Read a vocabulary, by default the shipped one.
+
+        Raises:
+            RecognizerError: it cannot be read, or is none.
+        """
+        fitted, arrays = read_fitted(path, NAME)
+        self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
+        levels = [arrays[name] for name in sorted(arrays) if name.startswith("level")]
+        self._tree, self._rarity = VocabularyTree(tuple(levels)), arrays["rarity"]
+
+    @property
+    def weights(self) -> str:
+        """What it runs on."""
+        return f"{self._tree.words} words of {', '.join(self.trained_on) or 'unknown images'}"
+
+    @property
+    def fingerprint(self) -> str:
+        """The hash of the vocabulary and of this file."""
+        return hash_arrays(self._arrays(), Path(__file__).read_bytes())
+
+    def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the (W + 1,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image.
+
+        The last value is 1 for an image without any known word, and 0 for all others.
+        """
+        words = self._tree(_descriptors(image))
+        counts = np.bincount(words, minlength=self._tree.words) * self._rarity
+        length = float(np.linalg.norm(counts))
+        embedding = np.append(counts / (length or 1.0), float(length == 0.0))
+        return embedding.astype(np.float32)
+
+    def fit(self, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> None:
+        """Learn the words, and how rare each is, from images.
+
+        Raises:
+            RecognizerError: nothing was seen in them.
+        """
+        documents = [_descriptors(image) for image in images]
+        descriptors = np.concatenate([np.empty((0, ORB_BYTES), np.uint8), *documents])
+        if not len(descriptors):
+            raise RecognizerError(f"no corner was found in {len(documents)} images; give others")
+        self._tree = grow(descriptors, CHILDREN, DEPTH, np.random.default_rng(seed))
+        self._rarity = _rarity([self._tree(document) for document in documents], self._tree.words)
+
+    def save(self, path: Path) -> None:
+        """Write the vocabulary.
+
+        Raises:
+            RecognizerError: the file cannot be written.
+        """
+        fitted = Fitted(
+            recognizer=NAME, min_similarity=self.min_similarity, trained_on=self.trained_on
+        )
+        write_fitted(path, fitted, self._arrays())
+
+    def _arrays(self) -> dict[str, NDArray[np.uint8] | NDArray[np.float32]]:
+        levels = {f"level{i}": level for i, level in enumerate(self._tree.levels)}
+        return {**levels, "rarity": self._rarity}
+
+
+def _descriptors(image: NDArray[np.uint8]) -> Descriptors:
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    scale = LONGER_SIDE_PX / max(grey.shape)
+    interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    size = [max(LEAST_SIDE_PX, round(side * scale)) for side in reversed(grey.shape)]
+    # A detector of its own for every image: it is made in no time, and threads share nothing.
+    orb = cv2.ORB.create(FEATURES, edgeThreshold=BORDER_PX, fastThreshold=FAST_THRESHOLD)
+    _, descriptors = orb.detectAndCompute(cv2.resize(grey, size, interpolation=interpolation), None)
+    none = np.empty((0, ORB_BYTES), np.uint8)
+    return none if descriptors is None else np.asarray(descriptors, np.uint8)
+
+
+def _rarity(documents: list[NDArray[np.int64]], words: int) -> NDArray[np.float32]:
+    """Return (W,) how much the sight of each word says: the logarithm of how rare it is (idf)."""
+    seen_in = np.zeros(words)
+    for document in documents:
+        seen_in[np.unique(document)] += 1.0
+    rarity: NDArray[np.float32] = np.log((len(documents) + 1.0) / (seen_in + 1.0)).astype("f4")
+    return rarity
