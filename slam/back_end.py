@@ -116,7 +116,7 @@ class BackEnd:
         return ClosedLoops(solution.T_world_kf, attempts, solution.warnings)
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), the cosine between the embeddings of all keyframes."""
+        """Return (K, K), how alike all keyframes are, -1 to 1."""
         return self._loop_closer.similarities()
 
     def calibration(self) -> Calibration | None:

@@ -43,12 +43,12 @@ class LoopCloser:
         self._verification_config = verification_config
         self._keyframes: list[Keyframe] = []
         self._limits: list[int] = []
-        self._index = PlaceIndex()
+        self._index = PlaceIndex(self._recognizer)
         chosen = loop_config.min_similarity
         self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the (D,) unit embedding of a (H, W, 3) RGB image.
+        """Return the float32 embedding of a (H, W, 3) RGB image.
 
         Raises:
             RecognizerError: the recognizer returned something that is not an embedding.
@@ -62,9 +62,12 @@ class LoopCloser:
 
         Args:
             keyframe: the new one.
-            embedding: (D,) float32, unit length, as `describe` returned it.
+            embedding: as `describe` returned it.
             linked_ids: keyframes whose motion to it is known already: however long ago they were
                 seen, a camera that stood still closes no loop.
+
+        Raises:
+            RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
         latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
         old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
@@ -86,7 +89,7 @@ class LoopCloser:
         return tuple(attempts)
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), the cosine between the embeddings of all keyframes so far."""
+        """Return (K, K), how alike all keyframes so far are, -1 to 1."""
         return self._index.similarities()
 
     def calibration(self) -> Calibration | None:

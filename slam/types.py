@@ -163,7 +163,7 @@ class LoopAttempt:
 
     Attributes:
         query_id, match_id: keyframe ids; the query is the later one.
-        similarity: cosine of the two embeddings, -1 to 1.
+        similarity: of the two embeddings, -1 to 1; their cosine for most recognizers.
         verification: geometry's answer, or None where similarity already ruled the pair out.
         outcome: the measured motion of an accepted loop (reference = match), or the rejection.
         weight: the pose graph's final trust in an accepted loop, 0 (ignored) to 1; None before
@@ -215,7 +215,7 @@ class SlamResult:
         trajectory: the same frames, corrected: each rides on its keyframe.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
-        similarities: (K, K) float32, cosine between all keyframes' embeddings, NaN on none.
+        similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
         min_similarity: the threshold from which candidates were verified.
         untracked_s: timestamps of the frames that could not be tracked.
         stage_seconds: total wall time per stage, in the order of the pipeline.

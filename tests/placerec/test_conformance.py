@@ -15,6 +15,16 @@ class Batched(Good):
         return super().embed(image)[None]
 
 
+class Rows(Good):
+    """Compares (2, 248) embeddings itself, by their mean difference."""
+
+    def embed(self, image):
+        return super().embed(image).reshape(2, -1) * 5
+
+    def compare(self, queries, references):
+        return 1 - abs(queries[:, None] - references[None]).mean(axis=(2, 3))
+
+
 class Double(Good):
     def embed(self, image):
         return super().embed(image).astype(np.float64)
@@ -88,6 +98,11 @@ def test_each_fault_is_found(recognizer, failed):
     report = check(recognizer())
     assert failed in [one.name for one in report.checks if not one.passed]
     assert not report.passed
+
+
+def test_what_compares_its_embeddings_itself_conforms_with_any_shape():
+    report = check(Rows())
+    assert [one.name for one in report.checks if not one.passed] == []
 
 
 def test_a_raising_recognizer_fails_every_check_that_calls_it():

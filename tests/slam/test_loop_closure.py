@@ -79,6 +79,31 @@ def test_a_place_seen_again_is_a_loop_with_the_match_as_reference(views):
     assert attempt.verification.pixels.shape == (150, 4)
 
 
+class Levels(Scripted):
+    """Describes a place by a (1, 1) level, and compares levels by their difference."""
+
+    looks_back = 1
+
+    def __init__(self):
+        self.asked = []
+
+    def compare(self, queries, references):
+        self.asked.append(queries.ravel().tolist())
+        return 1 - abs(queries[:, None, 0, 0] - references[None, :, 0, 0])
+
+
+def test_a_recognizer_that_compares_its_embeddings_itself_is_asked(views):
+    levels = Levels()
+    loop_closer = closer(levels, camera=views.camera, candidates=1)
+    for number, level in enumerate([0.0, 0.5, 0.25]):
+        new = keyframe(number, views.reference, 10.0 * number)
+        attempts = loop_closer.close(new, np.full((1, 1), level, np.float32))
+    assert [(attempt.match_id, attempt.similarity) for attempt in attempts] == [(0, 0.75)]
+    assert levels.asked == [[0.0, 0.5], [0.5, 0.25]]
+    expected = [[1, 0.5, 0.75], [0.5, 1, 0.75], [0.75, 0.75, 1]]
+    assert loop_closer.similarities().tolist() == expected
+
+
 def test_a_camera_that_stood_still_closes_no_loop_with_what_it_is_linked_to(views):
     loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
     run(loop_closer, views, [0] * 4, step_s=10.0)
@@ -201,7 +226,7 @@ def test_similarities_are_those_between_all_keyframes(views):
         ([np.ones((2, 2)) / 2], r"an array of shape \(2, 2\)"),
         ([np.float32(1.0)], r"an array of shape \(\)"),
         ([np.zeros(0)], r"an array of shape \(0,\)"),
-        ([direction(0), np.array([0.0, 0.0, 1.0])], "3 values after 2"),
+        ([direction(0), np.array([0.0, 0.0, 1.0])], r"shape \(3,\) after \(2,\)"),
         ([np.array([3.0, 4.0])], "a vector of length 5"),
         ([np.zeros(4)], "a vector of length 0"),
         ([None], r"an array of shape \(\)"),
