@@ -2,10 +2,10 @@
 """What a recognizer learned from images, as one safetensors file that says whose it is."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from placerec.certificate import Certificate, certificate_path, write_certificate
 from placerec.output_file import write_atomically
 from placerec.recognizer import ENTRY_POINT_GROUP, PlaceRecognizer, RecognizerError, find
 
@@ -21,6 +22,27 @@ NETWORK_READER = "placerec.embedding:LearnedRecognizer"
 """Of every file that is not ours: found when it is needed, because it takes torch."""
 
 Array = NDArray[Any]
+
+
+@runtime_checkable
+class FittedRecognizer(Protocol):
+    """A recognizer with words, principal components or the like, found in images.
+
+    Attributes:
+        min_similarity: as of any recognizer; what was calibrated is set before it is saved.
+        trained_on: names of the datasets that it learned from, told before it is saved.
+    """
+
+    min_similarity: float
+    trained_on: tuple[str, ...]
+
+    def fit(self, images: Iterable[NDArray[np.uint8]], seed: int) -> None:
+        """Learn from (H, W, 3) uint8 RGB images, which are handed over once, one by one."""
+        ...
+
+    def save(self, path: Path) -> None:
+        """Write all that was learned to a file, which names the recognizer from then on."""
+        ...
 
 
 class Fitted(BaseModel):
@@ -68,6 +90,19 @@ def read_fitted(path: Path, recognizer: str) -> tuple[Fitted, dict[str, Array]]:
     if fitted.recognizer != recognizer:
         raise RecognizerError(f"the file is of {fitted.recognizer}, not of {recognizer}: {path}")
     return fitted, arrays
+
+
+def keep_calibration_of(recognizer: FittedRecognizer, path: Path, certificate: Certificate) -> Path:
+    """Give a recognizer's file the calibrated threshold, and return the certificate's path.
+
+    Raises:
+        RecognizerError: one of the files cannot be written.
+    """
+    beside = certificate_path(path)
+    write_certificate(certificate, beside)
+    recognizer.min_similarity = certificate.min_similarity
+    recognizer.save(path)
+    return beside
 
 
 def open_recognizer(path: Path) -> PlaceRecognizer:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.baselines.vocabulary_tree import Descriptors, VocabularyTree, grow
+from placerec.certificate import Certificate, certificate_beside
 from placerec.fitted_file import Fitted, hash_arrays, read_fitted, write_fitted
 from placerec.recognizer import RecognizerError
 
@@ -43,6 +44,7 @@ class BagOfWords:
             RecognizerError: it cannot be read, or is none.
         """
         fitted, arrays = read_fitted(path, NAME)
+        self._path = path
         self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
         levels = [arrays[name] for name in sorted(arrays) if name.startswith("level")]
         self._tree, self._rarity = VocabularyTree(tuple(levels)), arrays["rarity"]
@@ -53,20 +55,30 @@ class BagOfWords:
         return f"{self._tree.words} words of {', '.join(self.trained_on) or 'unknown images'}"
 
     @property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the vocabulary.
+
+        Raises:
+            RecognizerError: it cannot be read.
+        """
+        return certificate_beside(self._path)
+
+    @property
     def fingerprint(self) -> str:
-        """The hash of the vocabulary and of this file."""
-        return hash_arrays(self._arrays(), Path(__file__).read_bytes())
+        """The hash of the vocabulary and of how words are found."""
+        settings = (LONGER_SIDE_PX, FEATURES, FAST_THRESHOLD, BORDER_PX)
+        return hash_arrays(self._arrays(), NAME, *settings)
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (W + 1,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image.
 
-        The last value is 1 for an image without any known word, and 0 for all others.
+        The last value is what is left of an image in which no word is seen, and 0 in others.
         """
         words = self._tree(_descriptors(image))
         counts = np.bincount(words, minlength=self._tree.words) * self._rarity
-        length = float(np.linalg.norm(counts))
-        embedding = np.append(counts / (length or 1.0), float(length == 0.0))
-        return embedding.astype(np.float32)
+        vector = np.append(counts, 0.0 if counts.any() else 1.0)
+        embedding: NDArray[np.float32] = (vector / np.linalg.norm(vector)).astype(np.float32)
+        return embedding
 
     def fit(self, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> None:
         """Learn the words, and how rare each is, from images.

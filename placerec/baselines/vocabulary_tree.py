@@ -46,8 +46,8 @@ def grow(
 ) -> VocabularyTree:
     """Return a tree of children ** depth words of (N, B) descriptors, N > 0.
 
-    Each node's descriptors are divided among its children by k-means under the Hamming distance:
-    a middle has the bits that most of its descriptors have.
+    Each node's descriptors are divided among its children by k-means++ under the Hamming
+    distance: a middle has the bits that most of its descriptors have.
     """
     owners = np.zeros(len(descriptors), np.int64)
     levels = []
@@ -69,8 +69,7 @@ def _k_majority(
     descriptors: Descriptors, count: int, rng: np.random.Generator
 ) -> tuple[Descriptors, NDArray[np.int64]]:
     """Return (count, B) middles, some of them equal where there is little to divide, and (N,)."""
-    distinct = np.unique(descriptors, axis=0)
-    middles = distinct[rng.permutation(len(distinct))[np.arange(count) % len(distinct)]]
+    middles = _scattered(descriptors, count, rng)
     nearest = _nearest(descriptors, middles)
     bits = np.unpackbits(descriptors, axis=1)
     for _ in range(ROUNDS):
@@ -80,6 +79,18 @@ def _k_majority(
         if np.array_equal(before, nearest):
             break
     return middles, nearest
+
+
+def _scattered(descriptors: Descriptors, count: int, rng: np.random.Generator) -> Descriptors:
+    """Return (count, B) descriptors, each drawn by its squared distance to those before it."""
+    chosen = [int(rng.integers(len(descriptors)))]
+    distances = _hamming(descriptors, descriptors[chosen])
+    while len(chosen) < count:
+        chances = np.cumsum(distances**2)
+        drawn = np.searchsorted(chances, rng.random() * chances[-1], side="right")
+        chosen.append(min(int(drawn), len(descriptors) - 1))
+        distances = np.minimum(distances, _hamming(descriptors, descriptors[chosen[-1:]]))
+    return descriptors[chosen]
 
 
 def _nearest(descriptors: Descriptors, middles: Descriptors) -> NDArray[np.int64]:

@@ -10,7 +10,8 @@ from placerec import calibration
 from placerec.certificate import TAIL, Certificate, write_certificate
 from placerec.commands.data import RECOGNIZER, embed_data, open_data
 from placerec.datasets import describe
-from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
+from placerec.fitted_file import FittedRecognizer, keep_calibration_of
+from placerec.recognizer import WEIGHTS_SUFFIX, PlaceRecognizer, RecognizerError, load
 
 
 def calibrate(
@@ -23,12 +24,12 @@ def calibrate(
 
     Example: placerec calibrate ie_tower:validation --recognizer runs/tower/weights.safetensors
 
-    Trained weights are given the first of these as their min_similarity, and the certificate of
+    A file of weights is given the first of these as their min_similarity, and the certificate of
     both, weights.certificate.json, is put beside them, where run_slam finds it for its report.
 
     Args:
         data: images not used in training or to choose; formats as in evaluate.
-        recognizer: an installed name, package.module:ClassName, or trained weights.
+        recognizer: an installed name, package.module:ClassName, or a file of weights.
         out: write the certificate to this file, as JSON, and leave weights as they are; needed
             where the recognizer is no file of weights.
     """
@@ -42,19 +43,25 @@ def calibrate(
     embeddings, _ = embed_data(recognizer, loaded, dataset)
     name = Path(recognizer).name if is_weights else recognizer
     certificate = calibration.calibrate(name, loaded, dataset, embeddings)
-    print(f"{describe(dataset)}\n{_summary(certificate)}\n{_keep(certificate, recognizer, out)}")
+    kept = _keep(certificate, loaded, recognizer, out)
+    print(f"{describe(dataset)}\n{_summary(certificate)}\n{kept}")
     return 0
 
 
-def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
+def _keep(
+    certificate: Certificate, recognizer: PlaceRecognizer, weights: str, out: Path | None
+) -> str:
     """Write what was found to where it belongs, and return what was done."""
     if out is not None:
         write_certificate(certificate, out)
         return f"certificate written to {out}"
-    # Loaded here, because torch takes seconds that recognizers without weights do not need.
-    from placerec.embedding import keep_calibration
+    if isinstance(recognizer, FittedRecognizer):
+        path = keep_calibration_of(recognizer, Path(weights), certificate)
+    else:
+        # Loaded here, because torch takes seconds that recognizers without weights do not need.
+        from placerec.embedding import keep_calibration
 
-    path = keep_calibration(Path(weights), certificate)
+        path = keep_calibration(Path(weights), certificate)
     return f"min_similarity written to {weights}\ncertificate written to {path}"
 
 

@@ -4,7 +4,7 @@
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Protocol, runtime_checkable
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -12,26 +12,8 @@ from numpy.typing import NDArray
 
 from placerec.commands.data import open_images, progress_bar
 from placerec.embedded_images import Progress
+from placerec.fitted_file import FittedRecognizer
 from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
-
-
-@runtime_checkable
-class FittedRecognizer(Protocol):
-    """A recognizer with words, principal components or the like, found in images.
-
-    Attributes:
-        trained_on: names of the datasets that it learned from, told before it is saved.
-    """
-
-    trained_on: tuple[str, ...]
-
-    def fit(self, images: Iterable[NDArray[np.uint8]], seed: int) -> None:
-        """Learn from (H, W, 3) uint8 RGB images, which are handed over once, one by one."""
-        ...
-
-    def save(self, path: Path) -> None:
-        """Write all that was learned to a file, which names the recognizer from then on."""
-        ...
 
 
 def fit(
