@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recognizer learned from images, as one safetensors file that says whose it is."""
+"""What a recognizer learned from images without labels, as one file that says whose it is."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,63 +16,84 @@ from safetensors.numpy import save
 
 from placerec.certificate import Certificate, certificate_path, write_certificate
 from placerec.output_file import write_atomically
-from placerec.recognizer import ENTRY_POINT_GROUP, PlaceRecognizer, RecognizerError, find
+from placerec.recognizer import (
+    ENTRY_POINT_GROUP,
+    WEIGHTS_SUFFIX,
+    PlaceRecognizer,
+    RecognizerError,
+    find,
+)
 
 METADATA_KEY = "placerec.fitted"
 NETWORK_READER = "placerec.embedding:LearnedRecognizer"
 """Of every file that is not ours: found when it is needed, because it takes torch."""
+SHIPPED = Path(__file__).parent / "weights"
 
 Array = NDArray[Any]
 
 
-@runtime_checkable
-class FittedRecognizer(Protocol):
-    """A recognizer with words, principal components or the like, found in images.
+@dataclass(frozen=True)
+class Fitted:
+    """What was learned: words, principal components or the like.
 
     Attributes:
-        min_similarity: as of any recognizer; what was calibrated is set before it is saved.
-        trained_on: names of the datasets that it learned from, told before it is saved.
+        arrays: by name.
+        facts: whatever else must be known to use them, such as the layer that they belong to.
+        trained_on: names of the datasets that it was learned from.
+        min_similarity: similarity from which a match is worth verifying.
     """
 
-    min_similarity: float
-    trained_on: tuple[str, ...]
+    arrays: Mapping[str, Array]
+    facts: Mapping[str, str] = field(default_factory=dict)
+    trained_on: tuple[str, ...] = ()
+    min_similarity: float = 0.0
 
-    def fit(self, images: Iterable[NDArray[np.uint8]], seed: int) -> None:
-        """Learn from (H, W, 3) uint8 RGB images, which are handed over once, one by one."""
-        ...
+    @property
+    def source(self) -> str:
+        """What it was learned from, for people."""
+        return ", ".join(self.trained_on) or "unknown images"
 
-    def save(self, path: Path) -> None:
-        """Write all that was learned to a file, which names the recognizer from then on."""
-        ...
+    @property
+    def fingerprint(self) -> str:
+        """Changes whenever what was learned does."""
+        digest = hashlib.sha256(repr(sorted(self.facts.items())).encode())
+        for name, array in sorted(self.arrays.items()):
+            digest.update(f"{name} {array.dtype} {array.shape}".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return f"sha256:{digest.hexdigest()}"
 
 
-class Fitted(BaseModel):
-    """What stands beside the arrays.
-
-    Attributes:
-        recognizer: the name that it is installed by.
-        min_similarity: cosine from which a match is worth verifying.
-        trained_on: names of datasets.
-    """
-
+class _Description(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     recognizer: str = Field(pattern=r"^[\w.-]+$")  # a file must not name code to run
     min_similarity: float = Field(ge=-1.0, le=1.0)
-    trained_on: tuple[str, ...] = ()
+    trained_on: tuple[str, ...]
+    facts: dict[str, str]
 
 
-def write_fitted(path: Path, fitted: Fitted, arrays: Mapping[str, Array]) -> None:
-    """Write what a recognizer learned; the same arrays, the same bytes.
+def shipped(recognizer: str) -> Path:
+    """Return the file of a built-in recognizer that comes with the package."""
+    return SHIPPED / f"{recognizer}{WEIGHTS_SUFFIX}"
+
+
+def write_fitted(path: Path, recognizer: str, fitted: Fitted) -> None:
+    """Write what a recognizer, known by its installed name, learned; the same, the same bytes.
 
     Raises:
         RecognizerError: the file cannot be written.
     """
-    content = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    write_atomically(path, save(content, {METADATA_KEY: fitted.model_dump_json()}))
+    description = _Description(
+        recognizer=recognizer,
+        min_similarity=fitted.min_similarity,
+        trained_on=fitted.trained_on,
+        facts=dict(sorted(fitted.facts.items())),
+    )
+    content = {name: np.ascontiguousarray(array) for name, array in fitted.arrays.items()}
+    write_atomically(path, save(content, {METADATA_KEY: description.model_dump_json()}))
 
 
-def read_fitted(path: Path, recognizer: str) -> tuple[Fitted, dict[str, Array]]:
+def read_fitted(path: Path, recognizer: str) -> Fitted:
     """Return what a recognizer learned.
 
     Raises:
@@ -82,27 +104,25 @@ def read_fitted(path: Path, recognizer: str) -> tuple[Fitted, dict[str, Array]]:
         raise RecognizerError(f"there is no file of what {recognizer} learned; {remedy}: {path}")
     try:
         with safe_open(path, framework="np") as file:
-            fitted = Fitted.model_validate_json((file.metadata() or {})[METADATA_KEY])
+            description = _Description.model_validate_json((file.metadata() or {})[METADATA_KEY])
             names = file.keys()
             arrays = {name: file.get_tensor(name) for name in names}
     except (OSError, SafetensorError, KeyError, ValidationError) as error:
         raise RecognizerError(f"not a whole file of {recognizer}; {remedy}: {path}") from error
-    if fitted.recognizer != recognizer:
-        raise RecognizerError(f"the file is of {fitted.recognizer}, not of {recognizer}: {path}")
-    return fitted, arrays
+    if description.recognizer != recognizer:
+        raise RecognizerError(
+            f"the file is of {description.recognizer}, not of {recognizer}: {path}"
+        )
+    return Fitted(arrays, description.facts, description.trained_on, description.min_similarity)
 
 
-def keep_calibration_of(recognizer: FittedRecognizer, path: Path, certificate: Certificate) -> Path:
-    """Give a recognizer's file the calibrated threshold, and return the certificate's path.
-
-    Raises:
-        RecognizerError: one of the files cannot be written.
-    """
-    beside = certificate_path(path)
-    write_certificate(certificate, beside)
-    recognizer.min_similarity = certificate.min_similarity
-    recognizer.save(path)
-    return beside
+def owner_of(path: Path) -> str | None:
+    """Return the recognizer whose file it is, None where it is of another kind or damaged."""
+    try:
+        with safe_open(path, framework="np") as file:
+            return _Description.model_validate_json(file.metadata()[METADATA_KEY]).recognizer
+    except (OSError, SafetensorError, KeyError, TypeError, ValidationError):
+        return None
 
 
 def open_recognizer(path: Path) -> PlaceRecognizer:
@@ -111,24 +131,21 @@ def open_recognizer(path: Path) -> PlaceRecognizer:
     Raises:
         RecognizerError: the file cannot be read, or its recognizer is not installed.
     """
-    owner = _owner(path)
+    owner = owner_of(path)
     network = EntryPoint(name=str(path), value=NETWORK_READER, group=ENTRY_POINT_GROUP)
     reader = network if owner is None else find(owner)
     return cast(PlaceRecognizer, reader.load()(path))
 
 
-def hash_arrays(arrays: Mapping[str, Array], *facts: object) -> str:
-    """Return "sha256:..." of arrays and of whatever else embeddings depend on."""
-    digest = hashlib.sha256(repr(facts).encode())
-    for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return f"sha256:{digest.hexdigest()}"
+def keep_calibration(path: Path, recognizer: str, certificate: Certificate) -> Path:
+    """Give a file the threshold that it was calibrated to, and return the certificate's path.
 
-
-def _owner(path: Path) -> str | None:
-    try:
-        with safe_open(path, framework="np") as file:
-            return Fitted.model_validate_json(file.metadata()[METADATA_KEY]).recognizer
-    except (OSError, SafetensorError, KeyError, TypeError, ValidationError):
-        return None  # the other reader says what is wrong with it
+    Raises:
+        RecognizerError: one of the files cannot be read or written.
+    """
+    fitted = read_fitted(path, recognizer)
+    beside = certificate_path(path)
+    write_certificate(certificate, beside)
+    calibrated = replace(fitted, min_similarity=certificate.min_similarity)
+    write_fitted(path, recognizer, calibrated)
+    return beside

@@ -30,6 +30,7 @@ TESTED_WITHIN = {
     "placerec/learner.py": "placerec/test_training.py",
     "placerec/networks/alexnet.py": "placerec/networks/test_pretrained.py",
     "placerec/networks/mobilenet_v2.py": "placerec/networks/test_pretrained.py",
+    "placerec/networks/one_thread.py": "placerec/test_embedding.py",
     "placerec/networks/squeezenet.py": "placerec/networks/test_pretrained.py",
     "placerec/networks/trunk.py": "placerec/networks/test_place_network.py",
     "placerec/networks/vgg16.py": "placerec/networks/test_pretrained.py",

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The methods that the paper compares with, each as a recognizer."""
+"""The methods that the paper compares with, each a recognizer of its own."""

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from placerec.baselines.vocabulary_tree import Descriptors, VocabularyTree, grow
 from placerec.certificate import Certificate, certificate_beside
-from placerec.fitted_file import Fitted, hash_arrays, read_fitted, write_fitted
+from placerec.fitted_file import Fitted, read_fitted, shipped
 from placerec.recognizer import RecognizerError
 
 NAME = "bag-of-words"
-SHIPPED = Path(__file__).parents[1] / "weights" / "bag_of_words.safetensors"
+SHIPPED = shipped(NAME)
 CHILDREN, DEPTH = 16, 3
 """Of the tree: 4096 words."""
 LONGER_SIDE_PX = 640
@@ -22,6 +22,7 @@ FEATURES = 1000
 FAST_THRESHOLD = 7
 BORDER_PX = 19
 ORB_BYTES = 32
+FEATURES_FOUND = f"{FEATURES} ORB at {LONGER_SIDE_PX} px, FAST from {FAST_THRESHOLD}"
 LEAST_SIDE_PX = 2 * BORDER_PX + 1
 """ORB sees nothing in less, and OpenCV fails where a level of its pyramid has no pixel."""
 
@@ -32,10 +33,10 @@ class BagOfWords:
     Attributes:
         min_similarity: kept with the vocabulary; the shipped one's is what `placerec calibrate`
             finds on the validation floors of ie_tower.
-        trained_on: the datasets that the vocabulary is of.
+        weights, trained_on, fingerprint: of the vocabulary.
     """
 
-    min_similarity: float
+    min_similarity: float = 0.2
 
     def __init__(self, path: Path = SHIPPED) -> None:
         """Read a vocabulary, by default the shipped one.
@@ -43,16 +44,15 @@ class BagOfWords:
         Raises:
             RecognizerError: it cannot be read, or is none.
         """
-        fitted, arrays = read_fitted(path, NAME)
+        fitted = read_fitted(path, NAME)
+        levels = [fitted.arrays[name] for name in sorted(fitted.arrays) if name != "rarity"]
+        self._tree, self._rarity = VocabularyTree(tuple(levels)), fitted.arrays["rarity"]
         self._path = path
         self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
-        levels = [arrays[name] for name in sorted(arrays) if name.startswith("level")]
-        self._tree, self._rarity = VocabularyTree(tuple(levels)), arrays["rarity"]
-
-    @property
-    def weights(self) -> str:
-        """What it runs on."""
-        return f"{self._tree.words} words of {', '.join(self.trained_on) or 'unknown images'}"
+        self.fingerprint, self.weights = (
+            fitted.fingerprint,
+            f"{self._tree.words} words of {fitted.source}",
+        )
 
     @property
     def certificate(self) -> Certificate | None:
@@ -63,11 +63,21 @@ class BagOfWords:
         """
         return certificate_beside(self._path)
 
-    @property
-    def fingerprint(self) -> str:
-        """The hash of the vocabulary and of how words are found."""
-        settings = (LONGER_SIDE_PX, FEATURES, FAST_THRESHOLD, BORDER_PX)
-        return hash_arrays(self._arrays(), NAME, *settings)
+    @classmethod
+    def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
+        """Return the words that images consist of, and how rare each is.
+
+        Raises:
+            RecognizerError: nothing was seen in them.
+        """
+        documents = [_descriptors(image) for image in images]
+        descriptors = np.concatenate([np.empty((0, ORB_BYTES), np.uint8), *documents])
+        if not len(descriptors):
+            raise RecognizerError(f"no corner was found in {len(documents)} images; give others")
+        tree = grow(descriptors, CHILDREN, DEPTH, np.random.default_rng(seed))
+        levels = {f"level{i}": level for i, level in enumerate(tree.levels)}
+        rarity = _rarity([tree(document) for document in documents], tree.words)
+        return Fitted({**levels, "rarity": rarity}, {"features": FEATURES_FOUND})
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (W + 1,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image.
@@ -79,34 +89,6 @@ class BagOfWords:
         vector = np.append(counts, 0.0 if counts.any() else 1.0)
         embedding: NDArray[np.float32] = (vector / np.linalg.norm(vector)).astype(np.float32)
         return embedding
-
-    def fit(self, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> None:
-        """Learn the words, and how rare each is, from images.
-
-        Raises:
-            RecognizerError: nothing was seen in them.
-        """
-        documents = [_descriptors(image) for image in images]
-        descriptors = np.concatenate([np.empty((0, ORB_BYTES), np.uint8), *documents])
-        if not len(descriptors):
-            raise RecognizerError(f"no corner was found in {len(documents)} images; give others")
-        self._tree = grow(descriptors, CHILDREN, DEPTH, np.random.default_rng(seed))
-        self._rarity = _rarity([self._tree(document) for document in documents], self._tree.words)
-
-    def save(self, path: Path) -> None:
-        """Write the vocabulary.
-
-        Raises:
-            RecognizerError: the file cannot be written.
-        """
-        fitted = Fitted(
-            recognizer=NAME, min_similarity=self.min_similarity, trained_on=self.trained_on
-        )
-        write_fitted(path, fitted, self._arrays())
-
-    def _arrays(self) -> dict[str, NDArray[np.uint8] | NDArray[np.float32]]:
-        levels = {f"level{i}": level for i, level in enumerate(self._tree.levels)}
-        return {**levels, "rarity": self._rarity}
 
 
 def _descriptors(image: NDArray[np.uint8]) -> Descriptors:

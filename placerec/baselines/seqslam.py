@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.comparison import Embeddings, Similarities
-from placerec.fitted_file import hash_arrays
 from placerec.recognizer import CheckedRecognizer, PlaceRecognizer
 
 THUMBNAIL_PX = (64, 32)
@@ -24,7 +23,7 @@ class Thumbnails:
     """Thumbnails whose every patch has the same brightness and contrast, compared by the cosine."""
 
     min_similarity: float = 0.5
-    fingerprint = hash_arrays({}, "thumbnails", THUMBNAIL_PX, PATCH_PX)
+    fingerprint = f"thumbnails of {THUMBNAIL_PX} px, patches of {PATCH_PX} px"
     weights = "thumbnails, no weights"
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:

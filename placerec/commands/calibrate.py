@@ -6,12 +6,11 @@ from typing import Annotated
 
 import tyro
 
-from placerec import calibration
+from placerec import calibration, fitted_file
 from placerec.certificate import TAIL, Certificate, write_certificate
 from placerec.commands.data import RECOGNIZER, embed_data, open_data
 from placerec.datasets import describe
-from placerec.fitted_file import FittedRecognizer, keep_calibration_of
-from placerec.recognizer import WEIGHTS_SUFFIX, PlaceRecognizer, RecognizerError, load
+from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
 
 
 def calibrate(
@@ -43,20 +42,18 @@ def calibrate(
     embeddings, _ = embed_data(recognizer, loaded, dataset)
     name = Path(recognizer).name if is_weights else recognizer
     certificate = calibration.calibrate(name, loaded, dataset, embeddings)
-    kept = _keep(certificate, loaded, recognizer, out)
+    kept = _keep(certificate, recognizer, out)
     print(f"{describe(dataset)}\n{_summary(certificate)}\n{kept}")
     return 0
 
 
-def _keep(
-    certificate: Certificate, recognizer: PlaceRecognizer, weights: str, out: Path | None
-) -> str:
+def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
     """Write what was found to where it belongs, and return what was done."""
     if out is not None:
         write_certificate(certificate, out)
         return f"certificate written to {out}"
-    if isinstance(recognizer, FittedRecognizer):
-        path = keep_calibration_of(recognizer, Path(weights), certificate)
+    if owner := fitted_file.owner_of(Path(weights)):
+        path = fitted_file.keep_calibration(Path(weights), owner, certificate)
     else:
         # Loaded here, because torch takes seconds that recognizers without weights do not need.
         from placerec.embedding import keep_calibration

@@ -1,23 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """`placerec fit`: learn from images without labels what a recognizer needs before it works."""
 
-from collections.abc import Iterable, Iterator
-from itertools import chain
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
 from placerec.commands.data import open_images, progress_bar
+from placerec.datasets import PlaceDataset
 from placerec.embedded_images import Progress
-from placerec.fitted_file import FittedRecognizer
-from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
+from placerec.fitted_file import Fitted, write_fitted
+from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, find
+
+Fit = Callable[[Sequence[NDArray[np.uint8]], int], Fitted]
+"""A class method: it takes (H, W, 3) uint8 RGB images, decoded when they are asked for, and a seed.
+
+The recognizer's constructor takes the path of what `write_fitted` makes of the answer.
+"""
 
 
 def fit(
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|MODULE:CLASS|FILE")],
+    recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
     data: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATA ...")],
     /,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -27,34 +36,47 @@ def fit(
 
     Example: placerec fit bag-of-words path/to/images --out words.safetensors
 
-    The file then names the recognizer: run_slam demo --recognizer words.safetensors
+    The file then names the recognizer: run_slam demo --recognizer words.safetensors. Calibrate it
+    on other images.
 
     Args:
-        name: a recognizer that learns from images in this way.
+        recognizer: installed name of one that learns from images in this way.
         data: folders of images, or in the formats of evaluate; of clips, the floors for training.
         out: what to write, a name that ends in .safetensors; default: NAME.safetensors, here.
         seed: what all draws come from.
     """
-    path = Path(f"{Path(name).stem}{WEIGHTS_SUFFIX}") if out is None else out
+    path = Path(f"{recognizer}{WEIGHTS_SUFFIX}") if out is None else out
     if path.suffix != WEIGHTS_SUFFIX or not data:
-        what = "at least one folder of images" if not data else f"a name in {WEIGHTS_SUFFIX}"
+        what = f"a FILE that ends in {WEIGHTS_SUFFIX}" if data else "at least one folder of images"
         raise RecognizerError(f"fit needs {what}; see --help: {path}")
-    recognizer = load(name)
-    if not isinstance(recognizer, FittedRecognizer):
-        raise RecognizerError(f"recognizer {name!r} has nothing to learn from images alone")
+    made = find(recognizer).load()
+    learn = cast(Fit | None, getattr(made, "fit", None))
+    if learn is None:
+        raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
     datasets = [open_images(source) for source in data]
     count = sum(len(dataset) for dataset in datasets)
-    with progress_bar(f"fitting {name}", count) as progress:
-        recognizer.fit(_counted(chain(*datasets), count, progress), seed)
-    recognizer.trained_on = tuple(dataset.name for dataset in datasets)
-    recognizer.save(path)
-    print(f"learned from {count} images\nwritten to {path}, not calibrated on them")
+    with progress_bar(f"fitting {recognizer}", count) as progress:
+        fitted = learn(_Images(datasets, progress), seed)
+    names = tuple(dataset.name for dataset in datasets)
+    threshold = float(cast(Any, made).min_similarity)
+    write_fitted(path, recognizer, replace(fitted, trained_on=names, min_similarity=threshold))
+    print(f"learned from {count} images of {', '.join(names)}\nwritten to {path}, not calibrated")
     return 0
 
 
-def _counted(
-    images: Iterable[NDArray[np.uint8]], count: int, progress: Progress
-) -> Iterator[NDArray[np.uint8]]:
-    for done, image in enumerate(images, 1):
-        yield image
-        progress(done, count)
+class _Images(Sequence[NDArray[np.uint8]]):
+    """The images of some datasets, one dataset after the other, decoded when they are asked for."""
+
+    def __init__(self, datasets: Sequence[PlaceDataset], progress: Progress) -> None:
+        self._datasets, self._progress = datasets, progress
+        self._ends = list(accumulate(len(dataset) for dataset in datasets))
+
+    def __len__(self) -> int:
+        return self._ends[-1]
+
+    def __getitem__(self, index: Any, /) -> Any:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        k = bisect_right(self._ends, index)
+        self._progress(index + 1, len(self))
+        return self._datasets[k][index - self._ends[k] + len(self._datasets[k])]

@@ -2,6 +2,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from placerec.baselines import bag_of_words
 from placerec.baselines.bag_of_words import SHIPPED, BagOfWords
+from placerec.baselines.vocabulary_tree import VocabularyTree
 from placerec.certificate import certificate_of
 from placerec.conformance import check
 from placerec.fitted_file import Fitted, write_fitted
@@ -35,8 +37,8 @@ def two_words(tmp_path):
     """Write a vocabulary of two words, all bits unset or set, of which the second is rarer."""
     level = np.repeat(np.array([[[0], [255]]], np.uint8), 32, axis=2)
     path = tmp_path / "two.safetensors"
-    fitted = Fitted(recognizer="bag-of-words", min_similarity=0.5)
-    write_fitted(path, fitted, {"level0": level, "rarity": np.array([1.0, 3.0], np.float32)})
+    rarity = np.array([1.0, 3.0], np.float32)
+    write_fitted(path, "bag-of-words", Fitted({"level0": level, "rarity": rarity}))
     return path
 
 
@@ -60,39 +62,29 @@ def test_rarity_by_hand(tmp_path, monkeypatch):
     monkeypatch.setattr(bag_of_words, "_descriptors", lambda image: next(documents))
     monkeypatch.setattr(bag_of_words, "CHILDREN", 2)
     monkeypatch.setattr(bag_of_words, "DEPTH", 1)
-    recognizer = BagOfWords()
-    recognizer.fit([picture(0)] * 3, seed=0)
-    monkeypatch.setattr(bag_of_words, "_descriptors", lambda image: b)
-    assert recognizer.embed(picture(0)).max() == 1.0
-    recognizer.save(tmp_path / "w.safetensors")
-    content = recognizer._arrays()
-    words = [int(recognizer._tree(each)[0]) for each in (a, b)]
-    np.testing.assert_allclose(
-        content["rarity"][words], [math.log(4 / 4), math.log(4 / 2)], rtol=1e-6
-    )
+    arrays = BagOfWords.fit([picture(0)] * 3).arrays
+    words = [int(VocabularyTree((arrays["level0"],))(each)[0]) for each in (a, b)]
+    expected = [math.log(4 / 4), math.log(4 / 2)]
+    np.testing.assert_allclose(arrays["rarity"][words], expected, rtol=1e-6)
 
 
-def test_what_was_learned_is_read_back_and_the_seed_decides(tmp_path, monkeypatch):
+def test_what_was_learned_is_used_and_the_seed_decides(tmp_path, monkeypatch):
     monkeypatch.setattr(bag_of_words, "CHILDREN", 3)
     images = [picture(seed) for seed in range(3)]
-    recognizer = BagOfWords()
-    before = recognizer.fingerprint
-    recognizer.fit(iter(images), seed=4)
-    recognizer.trained_on = ("walk",)
-    recognizer.save(tmp_path / "w.safetensors")
-    back = load(str(tmp_path / "w.safetensors"))
-    assert isinstance(back, BagOfWords)
-    assert back.fingerprint == recognizer.fingerprint != before
-    assert back.trained_on == ("walk",) and back.weights == "27 words of walk"
-    np.testing.assert_array_equal(back.embed(images[0]), recognizer.embed(images[0]))
-    again = BagOfWords()
-    again.fit(iter(images), seed=4)
-    assert again.fingerprint == recognizer.fingerprint
+    learned, again, other = (BagOfWords.fit(images, seed) for seed in (4, 4, 5))
+    assert learned.fingerprint == again.fingerprint != other.fingerprint
+    path = tmp_path / "w.safetensors"
+    write_fitted(path, "bag-of-words", replace(learned, trained_on=("walk",), min_similarity=0.3))
+    recognizer = load(str(path))
+    assert isinstance(recognizer, BagOfWords)
+    assert (recognizer.fingerprint, recognizer.min_similarity) == (learned.fingerprint, 0.3)
+    assert recognizer.trained_on == ("walk",) and recognizer.weights == "27 words of walk"
+    assert recognizer.embed(images[0]).shape == (28,)
 
 
 def test_images_without_a_corner_teach_nothing():
     with pytest.raises(RecognizerError, match="no corner was found in 2 images"):
-        BagOfWords().fit([np.zeros((48, 64, 3), np.uint8)] * 2)
+        BagOfWords.fit([np.zeros((48, 64, 3), np.uint8)] * 2)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (7, 500, 3), (481, 3, 3)])

@@ -1,54 +1,96 @@
 # SPDX-License-Identifier: Apache-2.0
-import json
+import sys
 
 import numpy as np
 import pytest
 
+from placerec.certificate import read_certificate
 from placerec.cli import main
+from placerec.fitted_file import Fitted, read_fitted
+
+
+class Brightness:
+    """Learns how bright images are on the whole, and compares how bright they are above that."""
+
+    min_similarity = 0.5
+
+    def __init__(self, path):
+        self.fitted = read_fitted(path, "brightness")
+        self.min_similarity = self.fitted.min_similarity
+
+    def embed(self, image):
+        angle = (image.mean() - self.fitted.arrays["means"].mean()) / 10.0
+        return np.array([np.cos(angle), np.sin(angle)], np.float32)
+
+    @classmethod
+    def fit(cls, images, seed):
+        in_turn = [image.mean() for image in images]
+        again = [images[i].mean() for i in range(len(images))]
+        assert in_turn == again
+        return Fitted({"means": np.array(in_turn)}, {"seed": str(seed)})
 
 
 @pytest.fixture(autouse=True)
-def draft(tmp_path, monkeypatch):
-    """Work in a folder with a recognizer that learns how many images there were, of which mean."""
-    (tmp_path / "fitted_draft.py").write_text(
-        "import json\n"
-        "class Draft:\n"
-        "    min_similarity, trained_on = 0.5, ()\n"
-        "    def embed(self, image): ...\n"
-        "    def fit(self, images, seed):\n"
-        "        self.learned = [seed, [float(image.mean()) for image in images]]\n"
-        "    def save(self, path):\n"
-        "        path.write_text(json.dumps([self.learned, self.trained_on]))\n"
-    )
+def installed(tmp_path, monkeypatch):
+    """Install recognizers called brightness, with something to learn, and plain, without."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "site" / "theirs-1.0.dist-info"
+    folder.mkdir(parents=True)
+    (folder / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text(
+        "[placerec.recognizers]\nbrightness = fit_of_a_test:Brightness\nplain = builtins:object\n"
+    )
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "site"), *sys.path])
+    monkeypatch.setitem(sys.modules, "fit_of_a_test", sys.modules[__name__])
 
 
-def test_images_of_all_folders_are_handed_over_and_the_result_is_written(
-    tmp_path, write_image, capsys
-):
+@pytest.fixture
+def drives(tmp_path, write_image):
+    """Write a folder of two images and one that is broken, and two drives of four images in all."""
     for i in range(2):
         write_image(tmp_path / f"walk/{i}.png", seed=i)
         write_image(tmp_path / f"drives/query/{i}.png", seed=i)
         write_image(tmp_path / f"drives/ref/{i}.png", seed=i)
     (tmp_path / "walk/2.png").write_bytes(b"oh")
-    asked = ["fit", "fitted_draft:Draft", "walk", "drives", "--seed", "7"]
-    assert main([*asked, "--out", "it.safetensors"]) == 0
+
+
+def test_it_learns_from_all_folders_and_the_file_names_the_recognizer(drives, tmp_path, capsys):
+    command = ["fit", "brightness", "walk", "drives", "--seed", "7", "--out", "it.safetensors"]
+    assert main(command) == 0
+    fitted = read_fitted(tmp_path / "it.safetensors", "brightness")
     pictures = [np.random.default_rng(i).integers(0, 256, (12, 16, 3), np.uint8) for i in range(2)]
-    means = [float(picture.mean()) for picture in pictures]
-    learned = json.loads((tmp_path / "it.safetensors").read_text())
-    assert learned == [[7, means * 3], ["walk", "drives"]]
+    assert fitted.arrays["means"].tolist() == [float(picture.mean()) for picture in pictures] * 3
+    assert (fitted.trained_on, fitted.facts) == (("walk", "drives"), {"seed": "7"})
+    assert fitted.min_similarity == 0.5
     shown = capsys.readouterr()
-    assert "learned from 6 images" in shown.out
+    assert "learned from 6 images of walk, drives" in shown.out
     assert "skipped: not a readable image: walk/2.png" in shown.err
+    apart = ["--out", "evaluation", "--no-cache"]
+    data = "walk+drives/ref:0"
+    assert main(["evaluate", data, "--recognizers", "it.safetensors", *apart]) == 0
+    assert "it.safetensors" in capsys.readouterr().out
+
+
+def test_calibrating_gives_the_file_its_threshold_and_its_evidence(drives, tmp_path):
+    path = tmp_path / "brightness.safetensors"
+    assert main(["fit", "brightness", "walk"]) == 0
+    before = read_fitted(path, "brightness")
+    assert main(["calibrate", "walk+drives/ref:0", "--recognizer", str(path)]) == 0
+    certificate = read_certificate(tmp_path / "brightness.certificate.json")
+    after = read_fitted(path, "brightness")
+    assert after.min_similarity == certificate.min_similarity != before.min_similarity
+    assert (after.fingerprint, after.trained_on) == (before.fingerprint, before.trained_on)
 
 
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["fitted_draft:Draft"], "at least one folder"),
-        (["fitted_draft:Draft", ".", "--out", "it.npz"], ".safetensors"),
-        (["placerec.gradients:GradientRecognizer", "."], "nothing to learn"),
-        (["fitted_draft:Draft", "nowhere"], "there is no such folder"),
+        (["brightness"], "at least one folder"),
+        (["brightness", ".", "--out", "it.npz"], ".safetensors"),
+        (["plain", "."], "nothing to learn"),
+        (["no-such-thing", "."], "there is no recognizer"),
+        (["brightness", "nowhere"], "there is no such folder"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(arguments, what, capsys):
