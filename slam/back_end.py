@@ -73,7 +73,7 @@ class BackEnd:
 
     @property
     def min_similarity(self) -> float:
-        """The cosine from which candidates are verified."""
+        """The similarity from which candidates are verified."""
         return self._loop_closer.min_similarity
 
     @property

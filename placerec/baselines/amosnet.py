@@ -20,7 +20,8 @@ STAND_INS = (
     Layer(TRUNKS["squeezenet"], "fire9", (227, 227)),
 )
 """Trained on ImageNet, with maps of 13 x 13 as well."""
-BLOCK = 256
+BLOCK = 16
+"""References at a time: what is subtracted stays in the processor's cache."""
 TINY = 1e-12
 
 FloatArray = NDArray[np.float32]
@@ -38,7 +39,7 @@ class AmosNet:
     """
 
     FILE = "AmosNet"
-    min_similarity: float = 0.5
+    min_similarity: float = 0.62
     looks_back = 0
 
     def __init__(self) -> None:

@@ -47,7 +47,7 @@ class RMac:
             similar.
     """
 
-    min_similarity: float = 0.5
+    min_similarity: float = 0.055
     looks_back = 0
 
     def __init__(self, path: Path = SHIPPED) -> None:

@@ -29,7 +29,7 @@ class UntrainedLayer:
         min_similarity: 1 % of the pairs of images of different validation floors are as similar.
     """
 
-    min_similarity: float = 0.5
+    min_similarity: float = 0.28
 
     def __init__(self, path: Path = SHIPPED) -> None:
         """Read a mean, by default the shipped one, and the published weights.

@@ -49,7 +49,7 @@ def fit(
     if path.suffix != WEIGHTS_SUFFIX or not data:
         what = f"a FILE that ends in {WEIGHTS_SUFFIX}" if data else "at least one folder of images"
         raise RecognizerError(f"fit needs {what}; see --help: {path}")
-    made = find(recognizer).load()
+    made = _class_of(recognizer)
     learn = cast(Fit | None, getattr(made, "fit", None))
     if learn is None:
         raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
@@ -58,10 +58,19 @@ def fit(
     with progress_bar(f"fitting {recognizer}", count) as progress:
         fitted = learn(_Images(datasets, progress), seed)
     names = tuple(dataset.name for dataset in datasets)
-    threshold = float(cast(Any, made).min_similarity)
+    threshold = float(made.min_similarity)
     write_fitted(path, recognizer, replace(fitted, trained_on=names, min_similarity=threshold))
     print(f"learned from {count} images of {', '.join(names)}\nwritten to {path}, not calibrated")
     return 0
+
+
+def _class_of(name: str) -> Any:
+    entry = find(name)
+    try:
+        return entry.load()
+    except Exception as error:
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RecognizerError(f"recognizer {name!r} cannot be imported: {why}") from error
 
 
 class _Images(Sequence[NDArray[np.uint8]]):

@@ -42,6 +42,16 @@ def test_threshold_comes_with_the_weights(recognizer):
     assert recognizer.min_similarity == 0.4
 
 
+def test_it_says_which_weights_it_runs_on(recognizer):
+    assert recognizer.weights == (
+        "mobilenet_v2 block3 at 96x72 px, trained as in the paper: w.safetensors"
+    )
+    assert recognizer.trained_on == ()
+    default = LearnedRecognizer()
+    assert default.weights.endswith("trained as in the paper: those of the package")
+    assert default.trained_on == ("ie_tower:train",)
+
+
 def test_images_of_any_kind(recognizer):
     grey = _image(1)[..., 0]
     expected = recognizer.embed(np.repeat(grey[..., None], 3, axis=2))

@@ -32,7 +32,7 @@ class Brightness:
 
 @pytest.fixture(autouse=True)
 def installed(tmp_path, monkeypatch):
-    """Install recognizers called brightness, with something to learn, and plain, without."""
+    """Install recognizers: brightness, with something to learn, plain, without, and broken."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "site" / "theirs-1.0.dist-info"
@@ -40,6 +40,7 @@ def installed(tmp_path, monkeypatch):
     (folder / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(
         "[placerec.recognizers]\nbrightness = fit_of_a_test:Brightness\nplain = builtins:object\n"
+        "broken = no_such_module:Broken\n"
     )
     monkeypatch.setattr(sys, "path", [str(tmp_path / "site"), *sys.path])
     monkeypatch.setitem(sys.modules, "fit_of_a_test", sys.modules[__name__])
@@ -90,6 +91,7 @@ def test_calibrating_gives_the_file_its_threshold_and_its_evidence(drives, tmp_p
         (["brightness", ".", "--out", "it.npz"], ".safetensors"),
         (["plain", "."], "nothing to learn"),
         (["no-such-thing", "."], "there is no recognizer"),
+        (["broken", "."], "'broken' cannot be imported: ModuleNotFoundError"),
         (["brightness", "nowhere"], "there is no such folder"),
     ],
 )
