@@ -4,7 +4,7 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
+from scipy.sparse import csr_array
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -70,7 +70,28 @@ def find_words(features: NDArray[np.float32], count: int, seed: int) -> NDArray[
         raise RecognizerError(
             f"{count} words cannot be found in {len(features)} local features; give more images"
         )
-    rng = np.random.default_rng(seed)
-    start = features[np.sort(rng.choice(len(features), count, replace=False))]
-    words, _ = kmeans2(features, start, iter=ROUNDS, minit="matrix", missing="warn")
-    return np.asarray(words, np.float32)
+    words = _scattered(features, count, np.random.default_rng(seed))
+    for _ in range(ROUNDS):
+        # By |x - w|^2, of which |x|^2 is the same for all words.
+        nearest = (features @ words.T - 0.5 * np.square(words).sum(axis=1)).argmax(axis=1)
+        ones, rows = np.ones(len(nearest), np.float32), np.arange(len(nearest))
+        members = csr_array((ones, (nearest, rows)), shape=(count, len(nearest)))
+        sizes = members.sum(axis=1)[:, None]
+        # A word that no feature is nearest to stays where it is.
+        words = np.where(sizes > 0, (members @ features) / np.maximum(sizes, 1.0), words)
+    return words.astype(np.float32)
+
+
+def _scattered(
+    features: NDArray[np.float32], count: int, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Return (K, C) features, each drawn by its squared distance to those before it (k-means++)."""
+    chosen = [int(rng.integers(len(features)))]
+    distances = np.full(len(features), np.inf)
+    while len(chosen) < count:
+        to_last = np.square(features - features[chosen[-1]]).sum(axis=1, dtype=np.float64)
+        distances = np.minimum(distances, to_last)
+        chances = np.cumsum(distances)
+        drawn = np.searchsorted(chances, rng.random() * chances[-1], side="right")
+        chosen.append(min(int(drawn), len(features) - 1))
+    return features[chosen]
