@@ -6,6 +6,7 @@ import pytest
 
 from placerec.baselines import region_vlad
 from placerec.baselines.region_vlad import SHIPPED, RegionVlad, residuals, salient_regions
+from placerec.certificate import certificate_of
 from placerec.conformance import check
 from placerec.fitted_file import read_fitted, write_fitted
 from placerec.recognizer import RecognizerError
@@ -73,6 +74,13 @@ def test_residuals_by_hand():
 
 
 def test_it_conforms(recognizer):
+    report = check(recognizer)
+    assert report.passed, report
+
+
+def test_what_is_shipped_conforms(real_weights):
+    recognizer = RegionVlad()
+    assert certificate_of(recognizer).min_similarity == recognizer.min_similarity
     report = check(recognizer)
     assert report.passed, report
 
