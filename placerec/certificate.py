@@ -169,6 +169,16 @@ def certificate_path(weights: Path) -> Path:
     return weights.with_suffix(CERTIFICATE_SUFFIX)
 
 
+def certificate_beside(weights: Path) -> Certificate | None:
+    """Return the certificate that lies beside a file of weights, None where there is none.
+
+    Raises:
+        RecognizerError: it cannot be read or is no certificate.
+    """
+    path = certificate_path(weights)
+    return read_certificate(path) if path.exists() else None
+
+
 def write_certificate(certificate: Certificate, path: Path) -> None:
     """Write a certificate as a whole JSON file.
 

@@ -51,8 +51,8 @@ class Learner:
         self._config, self._workers = config, workers
         self._layers = EarlyLayers(network, images, config.frozen_block, workers.device)
         self._rates = (config.learning_rate, config.trunk_learning_rate)
-        last, trunk = network.fully_connected.parameters(), self._layers.trained.parameters()
-        groups = [{"params": list(parameters)} for parameters in (last, trunk)]
+        last = [*network.pool.parameters(), *network.fully_connected.parameters()]
+        groups = [{"params": each} for each in (last, list(self._layers.trained.parameters()))]
         self.optimizer = torch.optim.Adam([group for group in groups if group["params"]])
 
     def look_at_all(self, count: int, progress: Progress | None = None) -> None:

@@ -15,8 +15,8 @@ from placerec.comparison import COSINES, Comparer, Embeddings, Similarities, fla
 
 ENTRY_POINT_GROUP = "placerec.recognizers"
 WEIGHTS_SUFFIX = ".safetensors"
-WEIGHTS_READER = "placerec.embedding:LearnedRecognizer"
-"""Found when it is needed, as every recognizer: reading weights takes torch, nothing else here."""
+WEIGHTS_READER = "placerec.fitted_file:open_recognizer"
+"""Found when it is needed, as every recognizer: reading weights may take torch."""
 MAX_LENGTH_ERROR = 1e-3
 LOOKS_BACK = 32
 
@@ -61,7 +61,7 @@ def load(name: str) -> PlaceRecognizer:
     """Return a new recognizer by its installed name, `package.module:ClassName` or weights file.
 
     Only the named one is imported. What is named is a class or a function without arguments, or
-    the path of a network trained by `placerec train`, which ends in .safetensors.
+    the path of what `placerec train` or `placerec fit` wrote, which ends in .safetensors.
 
     Raises:
         RecognizerError: there is none of that name, two packages claim it, it cannot be imported
@@ -70,7 +70,7 @@ def load(name: str) -> PlaceRecognizer:
     if name.endswith(WEIGHTS_SUFFIX):
         reader = EntryPoint(name=name, value=WEIGHTS_READER, group=ENTRY_POINT_GROUP).load()
         return cast(PlaceRecognizer, reader(Path(name)))
-    entry = _find(name)
+    entry = find(name)
     title = _title(name, entry)
     try:
         make = entry.load()
@@ -83,6 +83,25 @@ def load(name: str) -> PlaceRecognizer:
     except Exception as error:
         raise RecognizerError(f"{title} cannot be constructed: {_cause(error)}") from error
     return _with_members(recognizer, title)
+
+
+def find(name: str) -> EntryPoint:
+    """Return where the recognizer of an installed name or `package.module:ClassName` is.
+
+    Raises:
+        RecognizerError: there is none of that name, or two packages claim it.
+    """
+    if ":" in name:
+        if not re.fullmatch(r"[\w.]+:[\w.]+", name):
+            raise RecognizerError(f"recognizer {name!r} is not like package.module:ClassName")
+        return EntryPoint(name=name, value=name, group=ENTRY_POINT_GROUP)
+    found = list(entry_points(group=ENTRY_POINT_GROUP, name=name))
+    if not found:
+        raise RecognizerError(_unknown(name))
+    if len(found) > 1:
+        owners = " and ".join(sorted(entry.dist.name if entry.dist else "?" for entry in found))
+        raise RecognizerError(f"recognizer {name!r} is claimed by {owners}; uninstall all but one")
+    return found[0]
 
 
 class CheckedRecognizer:
@@ -189,20 +208,6 @@ class CheckedRecognizer:
 
     def _refuse(self, what: str, cause: Exception | None = None) -> NoReturn:
         raise RecognizerError(f"{self._title} returned {what}") from cause
-
-
-def _find(name: str) -> EntryPoint:
-    if ":" in name:
-        if not re.fullmatch(r"[\w.]+:[\w.]+", name):
-            raise RecognizerError(f"recognizer {name!r} is not like package.module:ClassName")
-        return EntryPoint(name=name, value=name, group=ENTRY_POINT_GROUP)
-    found = list(entry_points(group=ENTRY_POINT_GROUP, name=name))
-    if not found:
-        raise RecognizerError(_unknown(name))
-    if len(found) > 1:
-        owners = " and ".join(sorted(entry.dist.name if entry.dist else "?" for entry in found))
-        raise RecognizerError(f"recognizer {name!r} is claimed by {owners}; uninstall all but one")
-    return found[0]
 
 
 def _unknown(name: str) -> str:

@@ -17,6 +17,8 @@ class TrainingPlan:
     """Rows and columns of cells to average the trunk's maps in; none: keep them whole."""
     covariance: bool = False
     """Describe the maps by how their channels vary together, not by their values."""
+    words: int | None = None
+    """Describe the maps by how they differ from so many words (NetVLAD; the paper's has 64)."""
     size: tuple[int, int] | None = None
     """Width and height that images are resized to, in pixels; none: the trunk's."""
     dimension: int = 1000

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training as planned: from a network's starting weights to the files that it leaves."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import torch
 from pydantic import ValidationError
+from torch import Tensor
 
 from placerec.augmentation import Augmentation
 from placerec.datasets import LabelledImages
@@ -13,6 +15,7 @@ from placerec.early_layers import IMAGES_PER_PASS, Progress
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
 from placerec.networks.projection import merge, whiten
+from placerec.networks.vlad import Vlad
 from placerec.recognizer import RecognizerError
 from placerec.training import LOG_NAME, Training
 from placerec.training_config import TrainingConfig
@@ -23,8 +26,9 @@ from placerec.weights_file import save_weights
 from placerec.workers import Workers
 
 WEIGHTS_NAME, PLOT_NAME = "weights.safetensors", "log.png"
-COMPONENTS_FROM = 2000
-"""Images, spread evenly, that principal components are taken from; more cost time and memory."""
+COMPONENTS_FROM, WORDS_FROM = 2000, 300
+"""Images, spread evenly, that principal components are taken from, and words for NetVLAD; more cost
+time and memory."""
 
 
 def start_training(
@@ -112,6 +116,7 @@ def _network(plan: TrainingPlan) -> PlaceNetwork:
         block=plan.block,
         grid=plan.grid,
         covariance=plan.covariance,
+        words=plan.words,
         size_px=plan.size,
         seed=plan.seed,
     )
@@ -132,12 +137,26 @@ def _start_last_layer(
     seed: int,
     progress: Progress,
 ) -> None:
-    count = min(len(images), COMPONENTS_FROM)
-    chosen = np.linspace(0, len(images) - 1, count).astype(int)
     network.to(device).eval()
-    values = []
+    if isinstance(network.pool[-1], Vlad):
+        maps = torch.cat(list(_maps(network, images, WORDS_FROM, device, progress)))
+        local = network.pool[:-1](maps).permute(0, 2, 3, 1).flatten(end_dim=2)
+        network.pool[-1].start(local, seed)
+    maps_of_all = _maps(network, images, COMPONENTS_FROM, device, progress)
+    whiten(network, torch.cat([network.flatten(maps) for maps in maps_of_all]), seed)
+
+
+def _maps(
+    network: PlaceNetwork,
+    images: LabelledImages,
+    at_most: int,
+    device: torch.device,
+    progress: Progress,
+) -> Iterator[Tensor]:
+    """Yield the trunk's maps of some images, spread evenly over all."""
+    count = min(len(images), at_most)
+    chosen = np.linspace(0, len(images) - 1, count).astype(int)
     for start in range(0, count, IMAGES_PER_PASS):
         part = [images[int(i)] for i in chosen[start : start + IMAGES_PER_PASS]]
-        values.append(network.flatten(network.features(network.prepare(part).to(device))))
+        yield network.features(network.prepare(part).to(device))
         progress(start + len(part), count)
-    whiten(network, torch.cat(values), seed)

@@ -27,6 +27,7 @@ class _Description(BaseModel):
     block: str | None
     grid: tuple[int, int] | None
     covariance: bool = False
+    words: int | None = None
     size_px: tuple[int, int]
     min_similarity: float = Field(ge=-1.0, le=1.0)
 
@@ -48,6 +49,7 @@ def save_weights(network: PlaceNetwork, path: Path, min_similarity: float) -> No
         block=network.block,
         grid=network.grid,
         covariance=network.covariance,
+        words=network.words,
         size_px=size_px,
         min_similarity=min_similarity,
     )
@@ -83,6 +85,7 @@ def load_weights(
             block=description.block,
             grid=description.grid,
             covariance=description.covariance,
+            words=description.words,
             size_px=description.size_px,
         )
         network.load_state_dict(tensors)

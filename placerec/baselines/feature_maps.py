@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from placerec.baselines.fitted import Fitted
+from placerec.fitted_file import Fitted
 from placerec.networks import PlaceNetwork, Trunk
 from placerec.networks.one_thread import one_thread
 from placerec.networks.pretrained import (
@@ -114,7 +114,7 @@ def find_fitted_maps(name: str, fitted: Fitted, layers: Sequence[Layer]) -> Feat
     if maps is None or maps.fingerprint != fitted.facts.get(WEIGHTS):
         raise RecognizerError(
             f"{name} has seen images with other weights than are here; do it again: "
-            f"placerec fit {name} FOLDER"
+            f"placerec fit {name} FOLDER --out FILE"
         )
     return maps
 

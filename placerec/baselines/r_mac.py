@@ -6,16 +6,20 @@ ICLR 2016. As in the multi-constraint paper the regions are not summed up but ma
 """
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placerec.baselines.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.baselines.fitted import Fitted, read_fitted
+from placerec.certificate import Certificate, certificate_beside
 from placerec.comparison import Embeddings, Similarities
+from placerec.fitted_file import Fitted, read_fitted, shipped
 from placerec.networks import TRUNKS
 
+NAME = "r-mac"
+SHIPPED = shipped(NAME)
 LAYERS = (
     Layer(TRUNKS["vgg16"], "conv5_2", (224, 224)),
     Layer(TRUNKS["mobilenet_v2"], "block16", (320, 240)),
@@ -43,30 +47,38 @@ class RMac:
             similar.
     """
 
-    NAME = "r-mac"
     min_similarity: float = 0.055
     looks_back = 0
 
-    def __init__(self) -> None:
-        """Read the whitening and the published weights.
+    def __init__(self, path: Path = SHIPPED) -> None:
+        """Read a whitening, by default the shipped one, and the published weights.
 
         Raises:
             RecognizerError: one of them is missing, or they do not fit.
         """
-        fitted = read_fitted(self.NAME)
-        self._maps = find_fitted_maps(self.NAME, fitted, LAYERS)
-        self._mean, self._whitening = fitted.arrays["mean"], fitted.arrays["whitening"]
+        fitted = read_fitted(path, NAME)
+        self._maps = find_fitted_maps(NAME, fitted, LAYERS)
+        self._mean, self._whitening = (
+            fitted.arrays[name].astype(np.float32) for name in ("mean", "whitening")
+        )
+        self._path = path
+        self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
         self.fingerprint = fitted.fingerprint
-        self.weights = f"{self._maps.weights}; whitened on {fitted.data}"
-        self.trained_on = (fitted.data,)
+        self.weights = f"{self._maps.weights}; whitened on {fitted.source}"
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the whitening."""
+        return certificate_beside(self._path)
 
     @classmethod
-    def fit(cls, images: Iterable[NDArray[np.uint8]]) -> Fitted:
+    def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
         """Return the whitening of the regions of images: their principal components."""
         maps = find_maps(LAYERS)
         regions = np.concatenate([pooled_regions(maps(image)) for image in images])
         mean, whitening = principal_components(regions)
-        return Fitted({"mean": mean, "whitening": whitening}, facts_of(maps))
+        learned = {"mean": mean.astype(np.float16), "whitening": whitening.astype(np.float16)}
+        return Fitted(learned, facts_of(maps))
 
     def embed(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (N, C) float32 unit-length rows of an image's N regions."""

@@ -2,14 +2,18 @@
 """The honest floor: one layer of a network that was trained on ImageNet, and on nothing else."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from placerec.baselines.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.baselines.fitted import Fitted, read_fitted
+from placerec.certificate import Certificate, certificate_beside
+from placerec.fitted_file import Fitted, read_fitted, shipped
 from placerec.networks import TRUNKS
 
+NAME = "untrained"
+SHIPPED = shipped(NAME)
 LAYER = Layer(TRUNKS["mobilenet_v2"], "block16", (192, 144))
 
 
@@ -25,32 +29,37 @@ class UntrainedLayer:
         min_similarity: 1 % of the pairs of images of different validation floors are as similar.
     """
 
-    NAME = "untrained"
     min_similarity: float = 0.28
 
-    def __init__(self) -> None:
-        """Read the mean and the published weights.
+    def __init__(self, path: Path = SHIPPED) -> None:
+        """Read a mean, by default the shipped one, and the published weights.
 
         Raises:
             RecognizerError: one of them is missing, or they do not fit.
         """
-        fitted = read_fitted(self.NAME)
-        self._maps = find_fitted_maps(self.NAME, fitted, [LAYER])
-        self._mean = fitted.arrays["mean"]
+        fitted = read_fitted(path, NAME)
+        self._maps = find_fitted_maps(NAME, fitted, [LAYER])
+        self._mean = fitted.arrays["mean"].astype(np.float32)
+        self._path = path
+        self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
         self.fingerprint = fitted.fingerprint
-        self.weights = f"{self._maps.weights}; mean of {fitted.data}"
-        self.trained_on = (fitted.data,)
+        self.weights = f"{self._maps.weights}; mean of {fitted.source}"
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the mean."""
+        return certificate_beside(self._path)
 
     @classmethod
-    def fit(cls, images: Iterable[NDArray[np.uint8]]) -> Fitted:
-        """Return the layer's mean over images."""
+    def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
+        """Return the layer's mean over images; nothing is drawn."""
         maps = find_maps([LAYER])
         total = np.zeros((), np.float64)
         count = 0
         for image in images:
             total = total + maps(image)
             count += 1
-        return Fitted({"mean": (total / max(1, count)).astype(np.float32)}, facts_of(maps))
+        return Fitted({"mean": (total / max(1, count)).astype(np.float16)}, facts_of(maps))
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of a uint8 RGB image of any size."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from placerec import calibration
+from placerec import calibration, fitted_file
 from placerec.certificate import TAIL, Certificate, write_certificate
 from placerec.commands.data import RECOGNIZER, embed_data, open_data
 from placerec.datasets import describe
@@ -23,12 +23,12 @@ def calibrate(
 
     Example: placerec calibrate ie_tower:validation --recognizer runs/tower/weights.safetensors
 
-    Trained weights are given the first of these as their min_similarity, and the certificate of
+    A file of weights is given the first of these as their min_similarity, and the certificate of
     both, weights.certificate.json, is put beside them, where run_slam finds it for its report.
 
     Args:
         data: images not used in training or to choose; formats as in evaluate.
-        recognizer: an installed name, package.module:ClassName, or trained weights.
+        recognizer: an installed name, package.module:ClassName, or a file of weights.
         out: write the certificate to this file, as JSON, and leave weights as they are; needed
             where the recognizer is no file of weights.
     """
@@ -42,7 +42,8 @@ def calibrate(
     embeddings, _ = embed_data(recognizer, loaded, dataset)
     name = Path(recognizer).name if is_weights else recognizer
     certificate = calibration.calibrate(name, loaded, dataset, embeddings)
-    print(f"{describe(dataset)}\n{_summary(certificate)}\n{_keep(certificate, recognizer, out)}")
+    kept = _keep(certificate, recognizer, out)
+    print(f"{describe(dataset)}\n{_summary(certificate)}\n{kept}")
     return 0
 
 
@@ -51,10 +52,13 @@ def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
     if out is not None:
         write_certificate(certificate, out)
         return f"certificate written to {out}"
-    # Loaded here, because torch takes seconds that recognizers without weights do not need.
-    from placerec.embedding import keep_calibration
+    if owner := fitted_file.owner_of(Path(weights)):
+        path = fitted_file.keep_calibration(Path(weights), owner, certificate)
+    else:
+        # Loaded here, because torch takes seconds that recognizers without weights do not need.
+        from placerec.embedding import keep_calibration
 
-    path = keep_calibration(Path(weights), certificate)
+        path = keep_calibration(Path(weights), certificate)
     return f"min_similarity written to {weights}\ncertificate written to {path}"
 
 

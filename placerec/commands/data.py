@@ -4,12 +4,15 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from placerec.datasets import PlaceDataset, open_dataset
+from placerec.datasets.images import images_in
+from placerec.datasets.place_dataset import keep_readable
 from placerec.embedded_images import Progress, embed_dataset
 from placerec.recognizer import PlaceRecognizer
 
@@ -23,7 +26,26 @@ def open_data(source: str, part: str = "test") -> PlaceDataset:
     Raises:
         RecognizerError: it cannot be opened.
     """
-    dataset = open_dataset(source, part)
+    return _name_skipped(open_dataset(source, part))
+
+
+def open_images(source: str) -> PlaceDataset:
+    """Open a dataset to learn from without its truth, or just a folder of images, likewise.
+
+    Raises:
+        RecognizerError: it cannot be opened.
+    """
+    folder = Path(source)
+    paths = tuple(images_in(folder)) if folder.is_dir() else ()
+    if not paths:
+        return open_data(source, "train")
+    # No query and no reference: nothing is compared.
+    nobody, nothing = np.empty(0, np.int64), np.empty((0, 0), np.bool_)
+    dataset = PlaceDataset(folder.resolve().name, paths, nobody, nobody, nothing, nothing)
+    return _name_skipped(keep_readable(dataset))
+
+
+def _name_skipped(dataset: PlaceDataset) -> PlaceDataset:
     for broken in dataset.skipped:
         print(f"placerec: skipped: {broken.why}: {broken.path}", file=sys.stderr)
     return dataset

@@ -1,77 +1,91 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`placerec fit`: let a built-in method look at images before it recognises places."""
+"""`placerec fit`: learn from images without labels what a recognizer needs before it works."""
 
-from collections.abc import Callable, Iterable, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib.metadata import entry_points
+from itertools import accumulate
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from placerec.baselines.fitted import Fitted, write_fitted
-from placerec.commands.data import open_data, progress_bar
-from placerec.datasets.images import BrokenImage, images_in, read_image
+from placerec.commands.data import open_images, progress_bar
+from placerec.datasets import PlaceDataset
 from placerec.embedded_images import Progress
-from placerec.recognizer import ENTRY_POINT_GROUP, RecognizerError
+from placerec.fitted_file import Fitted, write_fitted
+from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, find
 
-Image = NDArray[np.uint8]
+Fit = Callable[[Sequence[NDArray[np.uint8]], int], Fitted]
+"""A class method: it takes (H, W, 3) uint8 RGB images, decoded when they are asked for, and a seed.
+
+The recognizer's constructor takes the path of what `write_fitted` makes of the answer.
+"""
 
 
 def fit(
     recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
-    data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")],
+    data: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATA ...")],
     /,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    seed: int = 0,
 ) -> int:
-    """Let a built-in method look at images, as far as it must before it recognises places.
+    """Learn a recognizer's vocabulary or the like from images; nobody has to label them.
 
-    Example: placerec fit r-mac path/to/photographs
+    Example: placerec fit bag-of-words path/to/images --out words.safetensors
 
-    What it learns, such as a mean or a dictionary of words, is kept on this machine and goes before
-    what comes with the package.
+    The file then names the recognizer: run_slam demo --recognizer words.safetensors. Calibrate it
+    on other images.
 
     Args:
-        recognizer: installed name of a method that has something to fit.
-        data: a folder of images, or one in the formats of train; labels are not looked at.
-        out: folder to write NAME.safetensors to instead.
+        recognizer: installed name of one that learns from images in this way.
+        data: folders of images, or in the formats of evaluate; of clips, the floors for training.
+        out: what to write, a name that ends in .safetensors; default: NAME.safetensors, here.
+        seed: what all draws come from.
     """
-    learn = _fit_of(recognizer)
-    paths, title = _images_of(data)
-    with progress_bar(f"fitting {recognizer}", len(paths)) as progress:
-        fitted = learn(_read(paths, progress))
-    path = write_fitted(recognizer, replace(fitted, data=title), out)
-    print(f"{recognizer} was fitted to {len(paths)} images of {title}\nwritten to {path}")
+    path = Path(f"{recognizer}{WEIGHTS_SUFFIX}") if out is None else out
+    if path.suffix != WEIGHTS_SUFFIX or not data:
+        what = f"a FILE that ends in {WEIGHTS_SUFFIX}" if data else "at least one folder of images"
+        raise RecognizerError(f"fit needs {what}; see --help: {path}")
+    made = _class_of(recognizer)
+    learn = cast(Fit | None, getattr(made, "fit", None))
+    if learn is None:
+        raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
+    datasets = [open_images(source) for source in data]
+    count = sum(len(dataset) for dataset in datasets)
+    with progress_bar(f"fitting {recognizer}", count) as progress:
+        fitted = learn(_Images(datasets, progress), seed)
+    names = tuple(dataset.name for dataset in datasets)
+    threshold = float(made.min_similarity)
+    write_fitted(path, recognizer, replace(fitted, trained_on=names, min_similarity=threshold))
+    print(f"learned from {count} images of {', '.join(names)}\nwritten to {path}, not calibrated")
     return 0
 
 
-def _fit_of(name: str) -> Callable[[Iterable[Image]], Fitted]:
-    entries = entry_points(group=ENTRY_POINT_GROUP, name=name)
+def _class_of(name: str) -> Any:
+    entry = find(name)
     try:
-        found = [getattr(entry.load(), "fit", None) for entry in entries]
+        return entry.load()
     except Exception as error:
         why = " ".join(f"{type(error).__name__}: {error}".split())
         raise RecognizerError(f"recognizer {name!r} cannot be imported: {why}") from error
-    if len(found) != 1 or found[0] is None:
-        raise RecognizerError(f"there is nothing to fit in a recognizer {name!r}")
-    return cast(Callable[[Iterable[Image]], Fitted], found[0])
 
 
-def _images_of(data: str) -> tuple[list[Path], str]:
-    """Return the images of a folder, or of a dataset's part for training, and what to call it."""
-    folder = Path(data)
-    if folder.is_dir() and (paths := images_in(folder)):
-        return paths, folder.resolve().name
-    dataset = open_data(data, "train")
-    return list(dataset.paths), dataset.name
+class _Images(Sequence[NDArray[np.uint8]]):
+    """The images of some datasets, one dataset after the other, decoded when they are asked for."""
 
+    def __init__(self, datasets: Sequence[PlaceDataset], progress: Progress) -> None:
+        self._datasets, self._progress = datasets, progress
+        self._ends = list(accumulate(len(dataset) for dataset in datasets))
 
-def _read(paths: list[Path], progress: Progress) -> Iterator[Image]:
-    for done, path in enumerate(paths, 1):
-        image = read_image(path)
-        if isinstance(image, BrokenImage):
-            raise RecognizerError(f"{image.why}; remove it: {image.path}")
-        yield image
-        progress(done, len(paths))
+    def __len__(self) -> int:
+        return self._ends[-1]
+
+    def __getitem__(self, index: Any, /) -> Any:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        k = bisect_right(self._ends, index)
+        self._progress(index + 1, len(self))
+        return self._datasets[k][index - self._ends[k] + len(self._datasets[k])]

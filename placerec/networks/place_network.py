@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from placerec.networks.covariance import Covariance
 from placerec.networks.trunk import Trunk
+from placerec.networks.vlad import Vlad
 from placerec.networks.whitened_linear import WhitenedLinear
 from placerec.recognizer import RecognizerError
 
@@ -24,6 +25,7 @@ class PlaceNetwork(nn.Module):
         features: these layers; a known trunk's parameters are called as its publishers call them.
         grid: (rows, columns) of cells that the maps are averaged in, or None to keep them whole.
         covariance: whether the maps' second-order statistics are taken instead of their values.
+        words: how many words the maps are described by instead (NetVLAD), or None.
         preprocessing: how an image becomes its input.
         fully_connected: from the flattened maps to the embedding.
     """
@@ -36,6 +38,7 @@ class PlaceNetwork(nn.Module):
         block: str | None = None,
         grid: tuple[int, int] | None = None,
         covariance: bool = False,
+        words: int | None = None,
         size_px: tuple[int, int] | None = None,
         seed: int = 0,
     ) -> None:
@@ -48,12 +51,13 @@ class PlaceNetwork(nn.Module):
             grid: (rows, columns) to average the maps in; default: keep them whole.
             covariance: describe the maps by how their channels vary together (`Covariance`), not
                 by their values, as the paper does.
+            words: describe the maps by how they differ from so many words (`Vlad`).
             size_px: (width, height) of its input; default: the trunk's.
             seed: what the random weights come from.
 
         Raises:
             RecognizerError: there is no such block, the dimension is not positive, the input is
-                too small, or the trunk does not make maps.
+                too small, the trunk does not make maps, or these are to be described in two ways.
         """
         super().__init__()
         if dimension < 1:
@@ -62,17 +66,22 @@ class PlaceNetwork(nn.Module):
             trunk.preprocessing.width_px,
             trunk.preprocessing.height_px,
         )
+        if words is not None and (covariance or words < 2):
+            raise RecognizerError(f"words = {words}: 2 or more, and not together with covariance")
         self.trunk, self.block, self.grid, self.covariance = trunk, block, grid, covariance
+        self.words = words
         self.preprocessing = replace(trunk.preprocessing, width_px=width_px, height_px=height_px)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.features = trunk.layers(block)
+            maps = self._try_out()
+            pooled = Covariance() if covariance else nn.Flatten()
             self.pool = nn.Sequential(
                 nn.AdaptiveAvgPool2d(grid) if grid else nn.Identity(),
-                Covariance() if covariance else nn.Flatten(),
+                Vlad(words, maps.shape[1]) if words else pooled,
             )
             self.fully_connected: nn.Linear | WhitenedLinear = nn.Linear(
-                self._map_values(), dimension
+                self.flatten(maps).shape[1], dimension
             )
 
     @property
@@ -105,16 +114,17 @@ class PlaceNetwork(nn.Module):
         # The order of numbers in memory that convolutions on a CPU are up to a third faster with.
         return inputs.contiguous(memory_format=torch.channels_last)
 
-    def _map_values(self) -> int:
+    def _try_out(self) -> Tensor:
+        """Return the maps of an empty image."""
         size = (self.preprocessing.height_px, self.preprocessing.width_px)
         where = f"trunk {self.trunk.name!r} at {size[1]} x {size[0]} px"
         try:
             with torch.no_grad():
-                maps = self.features(torch.zeros(1, 3, *size))
+                maps: object = self.features(torch.zeros(1, 3, *size))
         except RuntimeError as error:
             what = " ".join(str(error).split())
             raise RecognizerError(f"{where} does not run, try larger images: {what}") from error
         if not isinstance(maps, Tensor) or maps.ndim != 4:
             seen = tuple(maps.shape) if isinstance(maps, Tensor) else type(maps).__name__
             raise RecognizerError(f"{where} gives {seen}; it must give (N, C, h, w) maps")
-        return self.flatten(maps).shape[1]
+        return maps

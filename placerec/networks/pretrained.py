@@ -7,8 +7,9 @@ import io
 import os
 import re
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import safetensors.torch
@@ -25,7 +26,16 @@ from placerec.user_cache import cache_folder
 TIMEOUT_S = 30.0
 OURS = ".safetensors"
 FOLDER_VARIABLE = "LOOPCLOSE_WEIGHTS"
-SUFFIXES = frozenset({".pth", ".npz", ".caffemodel"})
+SUFFIXES = frozenset({".pth", ".tar", ".npz", ".caffemodel"})
+NESTED = "state_dict"
+_SCALAR = cast(Callable[..., object], np.float64(0.0).__reduce__()[0])
+NUMBERS: list[Callable[..., object] | tuple[Callable[..., object], str]] = [
+    (_SCALAR, "numpy.core.multiarray.scalar"),
+    (_SCALAR, "numpy._core.multiarray.scalar"),
+    np.dtype,
+    type(np.dtype(np.float64)),
+]
+"""Without which a checkpoint that notes its recall beside the weights would not be read."""
 
 
 def load_pretrained(network: PlaceNetwork, path: Path) -> None:
@@ -38,7 +48,7 @@ def load_pretrained(network: PlaceNetwork, path: Path) -> None:
     Raises:
         RecognizerError: the file cannot be read, would run code, or is another network's.
     """
-    weights = _read(path)
+    weights = read_weights(path)
     name = network.trunk.name
     state = network.features.state_dict()
     for parameter, value in state.items():
@@ -108,7 +118,12 @@ def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | Non
     return path
 
 
-def _read(path: Path) -> Mapping[str, Tensor]:
+def read_weights(path: Path) -> Mapping[str, Tensor]:
+    """Return the named tensors of a file of weights; of a checkpoint, those of its state dict.
+
+    Raises:
+        RecognizerError: the file cannot be read, is damaged, or would run code.
+    """
     try:
         content = io.BytesIO(path.read_bytes())
     except OSError as error:
@@ -122,11 +137,14 @@ def _read(path: Path) -> Mapping[str, Tensor]:
             return {name: torch.from_numpy(array) for name, array in arrays.items()}
         if path.suffix == OURS:
             return safetensors.torch.load(content.getvalue())
-        loaded = torch.load(content, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(NUMBERS):
+            loaded = torch.load(content, map_location="cpu", weights_only=True)
     except Exception as error:  # torch and numpy raise many kinds for a damaged file
         raise RecognizerError(
             f"the weights file is damaged, or a pickle that would run code: {path}"
         ) from error
+    if isinstance(loaded, Mapping) and isinstance(loaded.get(NESTED), Mapping):
+        loaded = {name.replace("module.", ""): value for name, value in loaded[NESTED].items()}
     if not isinstance(loaded, Mapping) or not all(isinstance(v, Tensor) for v in loaded.values()):
         raise RecognizerError(f"the weights file does not hold named tensors: {path}")
     return loaded

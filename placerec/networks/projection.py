@@ -27,7 +27,7 @@ def whiten(network: PlaceNetwork, values: Tensor, seed: int = 0) -> None:
         seed: what the mixtures come from.
     """
     mean = values.double().mean(dim=0)
-    directions, variances = _principal_components(
+    directions, variances = principal_components(
         values.double() - mean, max(COMPONENTS, network.dimension)
     )
     strength = (variances + EVENNESS * variances.mean().clamp(min=torch.finfo().tiny)).rsqrt()
@@ -49,8 +49,11 @@ def merge(network: PlaceNetwork) -> None:
         network.fully_connected = network.fully_connected.merged().to(device)
 
 
-def _principal_components(centred: Tensor, at_most: int) -> tuple[Tensor, Tensor]:
-    """Return (r, F) orthonormal directions of (n, F) values, strongest first, and variances."""
+def principal_components(centred: Tensor, at_most: int) -> tuple[Tensor, Tensor]:
+    """Return (r, F) orthonormal directions of (n, F) centred values, and their (r,) variances.
+
+    The strongest come first.
+    """
     # By the smaller of the two products.
     is_wide = centred.shape[1] > len(centred)
     product = centred @ centred.T if is_wide else centred.T @ centred

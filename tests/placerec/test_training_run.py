@@ -9,6 +9,7 @@ from collections import Counter
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from placerec.certificate import read_certificate
 from placerec.cli import main
@@ -103,6 +104,23 @@ def test_calibrating_gives_the_weights_their_threshold_and_its_evidence(tower, t
     assert f"min_similarity written to {weights}\n" in capsys.readouterr().out
     assert main([*command, "--out", str(apart)]) == 0
     assert read_certificate(apart) == certificate  # it is not of the threshold in the file
+
+
+def test_words_are_found_in_the_images_and_then_learn(tower, tmp_path, monkeypatch):
+    starts = []
+    original = Learner.__init__
+
+    def spy(self, network, *others):
+        starts.append(network.pool[-1].centroids.detach().clone())
+        original(self, network, *others)
+
+    monkeypatch.setattr(Learner, "__init__", spy)
+    assert _train(tower, tmp_path / "run", "--words", "4", "--gamma-prime", "2") == 0
+    network = LearnedRecognizer(tmp_path / "run/weights.safetensors").network
+    assert network.words == 4
+    # Means of unit vectors without negative values, unlike the random start.
+    assert (starts[0].norm(dim=1) <= 1.0 + 1e-6).all() and starts[0].norm(dim=1).min() > 0.5
+    assert not torch.equal(network.pool[-1].centroids, starts[0].half().float())
 
 
 def test_same_command_same_bytes_and_another_seed_others(tower, tmp_path):

@@ -33,6 +33,15 @@ def test_network_comes_back_as_it_was_but_for_half_precision(tmp_path):
         torch.testing.assert_close(network.state_dict()[name], value.half().float(), rtol=0, atol=0)
 
 
+def test_words_come_back_too(tmp_path):
+    saved = PlaceNetwork(TRUNKS["mobilenet_v2"], 8, block="block1", size_px=(48, 32), words=3)
+    save_weights(saved, tmp_path / "w.safetensors", 0.25)
+    network, _ = load_weights(tmp_path / "w.safetensors")
+    assert network.words == 3
+    found = network.state_dict()["pool.1.centroids"]
+    torch.testing.assert_close(found, saved.state_dict()["pool.1.centroids"].half().float())
+
+
 def test_same_network_same_bytes_and_saving_again_changes_nothing(tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     save_weights(_network(), first, 0.5)

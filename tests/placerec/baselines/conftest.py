@@ -1,8 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from placerec.networks import TRUNKS, PlaceNetwork
+
+REAL_WEIGHTS = Path(
+    os.environ.get("LOOPCLOSE_WEIGHTS", Path(__file__).parents[4] / "shared" / "weights")
+)
+
+
+@pytest.fixture
+def real_weights(machine, monkeypatch):
+    """Let the machine find the weights that people published, where they are here."""
+    if not any(REAL_WEIGHTS.glob("squeezenet*")):
+        pytest.skip(f"no squeezenet* in {REAL_WEIGHTS} (LOOPCLOSE_WEIGHTS names another place)")
+    monkeypatch.setenv("LOOPCLOSE_WEIGHTS", str(REAL_WEIGHTS))
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from placerec.baselines.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.baselines.fitted import Fitted
+from placerec.fitted_file import Fitted
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.recognizer import RecognizerError
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placerec.baselines.fitted import write_fitted
 from placerec.baselines.r_mac import (
     EVENNESS,
     RMac,
@@ -13,13 +12,15 @@ from placerec.baselines.r_mac import (
     regions_of,
 )
 from placerec.conformance import check
+from placerec.fitted_file import write_fitted
 from placerec.recognizer import RecognizerError
 
 
 @pytest.fixture
-def recognizer(weights, photographs):
-    write_fitted("r-mac", replace(RMac.fit(photographs), data="boards"))
-    return RMac()
+def recognizer(weights, photographs, tmp_path):
+    path = tmp_path / "whitening.safetensors"
+    write_fitted(path, "r-mac", replace(RMac.fit(photographs), trained_on=("boards",)))
+    return RMac(path)
 
 
 def test_regions_of_square_maps_are_those_of_the_paper():

@@ -5,16 +5,18 @@ import numpy as np
 import pytest
 
 from placerec.baselines.feature_maps import find_maps
-from placerec.baselines.fitted import read_fitted, write_fitted
-from placerec.baselines.untrained import LAYER, UntrainedLayer
+from placerec.baselines.untrained import LAYER, SHIPPED, UntrainedLayer
 from placerec.conformance import check
+from placerec.fitted_file import read_fitted, write_fitted
 from placerec.recognizer import RecognizerError
 
 
 @pytest.fixture
-def recognizer(weights, photographs):
-    write_fitted("untrained", replace(UntrainedLayer.fit(photographs[:10]), data="boards"))
-    return UntrainedLayer()
+def recognizer(weights, photographs, tmp_path):
+    path = tmp_path / "mean.safetensors"
+    fitted = replace(UntrainedLayer.fit(photographs[:10]), trained_on=("boards",))
+    write_fitted(path, "untrained", fitted)
+    return UntrainedLayer(path)
 
 
 def test_it_is_the_flattened_layer_without_the_mean_of_other_images(recognizer, photographs):
@@ -51,4 +53,4 @@ def test_what_comes_with_the_package_is_of_other_weights_than_these(weights):
 
 
 def test_what_comes_with_the_package_fits_the_layer(machine):
-    assert read_fitted("untrained").arrays["mean"].shape == (320, 5, 6)
+    assert read_fitted(SHIPPED, "untrained").arrays["mean"].shape == (320, 5, 6)

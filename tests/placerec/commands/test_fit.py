@@ -1,82 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from placerec.baselines.fitted import Fitted, read_fitted
+from placerec.certificate import read_certificate
 from placerec.cli import main
+from placerec.fitted_file import Fitted, read_fitted
 
 
 class Brightness:
-    """Learns how bright images are."""
+    """Learns how bright images are on the whole, and compares how bright they are above that."""
+
+    min_similarity = 0.5
+
+    def __init__(self, path):
+        self.fitted = read_fitted(path, "brightness")
+        self.min_similarity = self.fitted.min_similarity
+
+    def embed(self, image):
+        angle = (image.mean() - self.fitted.arrays["means"].mean()) / 10.0
+        return np.array([np.cos(angle), np.sin(angle)], np.float32)
 
     @classmethod
-    def fit(cls, images):
-        return Fitted({"mean": np.float32([np.mean([image.mean() for image in images])])}, {})
+    def fit(cls, images, seed):
+        in_turn = [image.mean() for image in images]
+        again = [images[i].mean() for i in range(len(images))]
+        assert in_turn == again
+        return Fitted({"means": np.array(in_turn)}, {"seed": str(seed)})
 
 
 @pytest.fixture(autouse=True)
 def installed(tmp_path, monkeypatch):
-    """Install recognizers called brightness, with something to fit, and plain, without."""
+    """Install recognizers: brightness, with something to learn, plain, without, and broken."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
     folder = tmp_path / "site" / "theirs-1.0.dist-info"
     folder.mkdir(parents=True)
     (folder / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(
         "[placerec.recognizers]\nbrightness = fit_of_a_test:Brightness\nplain = builtins:object\n"
-        "broken = no_such_module:Recognizer\n"
+        "broken = no_such_module:Broken\n"
     )
     monkeypatch.setattr(sys, "path", [str(tmp_path / "site"), *sys.path])
     monkeypatch.setitem(sys.modules, "fit_of_a_test", sys.modules[__name__])
 
 
 @pytest.fixture
-def folder(tmp_path, write_image) -> Path:
-    for i in range(3):
-        write_image(tmp_path / f"photos/{i}.png", seed=i)
-    return tmp_path / "photos"
+def drives(tmp_path, write_image):
+    """Write a folder of two images and one that is broken, and two drives of four images in all."""
+    for i in range(2):
+        write_image(tmp_path / f"walk/{i}.png", seed=i)
+        write_image(tmp_path / f"drives/query/{i}.png", seed=i)
+        write_image(tmp_path / f"drives/ref/{i}.png", seed=i)
+    (tmp_path / "walk/2.png").write_bytes(b"oh")
 
 
-def test_a_method_looks_at_a_folder_and_what_it_learns_is_kept(folder, capsys):
-    assert main(["fit", "brightness", str(folder)]) == 0
-    found = read_fitted("brightness")
-    assert found.data == "photos"
-    assert found.arrays["mean"] == pytest.approx([127.5], abs=6)
-    assert "brightness was fitted to 3 images of photos" in capsys.readouterr().out
+def test_it_learns_from_all_folders_and_the_file_names_the_recognizer(drives, tmp_path, capsys):
+    command = ["fit", "brightness", "walk", "drives", "--seed", "7", "--out", "it.safetensors"]
+    assert main(command) == 0
+    fitted = read_fitted(tmp_path / "it.safetensors", "brightness")
+    pictures = [np.random.default_rng(i).integers(0, 256, (12, 16, 3), np.uint8) for i in range(2)]
+    assert fitted.arrays["means"].tolist() == [float(picture.mean()) for picture in pictures] * 3
+    assert (fitted.trained_on, fitted.facts) == (("walk", "drives"), {"seed": "7"})
+    assert fitted.min_similarity == 0.5
+    shown = capsys.readouterr()
+    assert "learned from 6 images of walk, drives" in shown.out
+    assert "skipped: not a readable image: walk/2.png" in shown.err
+    apart = ["--out", "evaluation", "--no-cache"]
+    data = "walk+drives/ref:0"
+    assert main(["evaluate", data, "--recognizers", "it.safetensors", *apart]) == 0
+    assert "it.safetensors" in capsys.readouterr().out
 
 
-def test_of_a_dataset_it_sees_the_part_for_training(tmp_path, write_image, capsys):
-    tower = tmp_path / "tower"
-    rows = ["image_path,floor,area,section,split"]
-    for floor in ("floor1", "floor6", "floor9"):
-        for i in range(4):
-            name = f"images/{floor}/{floor}_hall_c1_frame_{i + 1:06}.jpg"
-            write_image(tower / name, seed=i)
-            rows.append(f"{name},{floor},hall,above-ground,gallery")
-    (tower / "dataset.csv").write_text("\n".join(rows) + "\n")
-    assert main(["fit", "brightness", str(tower), "--out", str(tmp_path / "out")]) == 0
-    assert "to 4 images of tower:train" in capsys.readouterr().out
-    assert (tmp_path / "out" / "brightness.safetensors").is_file()
+def test_calibrating_gives_the_file_its_threshold_and_its_evidence(drives, tmp_path):
+    path = tmp_path / "brightness.safetensors"
+    assert main(["fit", "brightness", "walk"]) == 0
+    before = read_fitted(path, "brightness")
+    assert main(["calibrate", "walk+drives/ref:0", "--recognizer", str(path)]) == 0
+    certificate = read_certificate(tmp_path / "brightness.certificate.json")
+    after = read_fitted(path, "brightness")
+    assert after.min_similarity == certificate.min_similarity != before.min_similarity
+    assert (after.fingerprint, after.trained_on) == (before.fingerprint, before.trained_on)
 
 
-@pytest.mark.parametrize("name", ["plain", "no-such-thing"])
-def test_where_there_is_nothing_to_fit_it_says_so(name, folder, capsys):
-    assert main(["fit", name, str(folder)]) == 2
-    assert f"nothing to fit in a recognizer '{name}'" in capsys.readouterr().err
-
-
-def test_a_recognizer_that_cannot_be_imported_is_one_line(folder, capsys):
-    assert main(["fit", "broken", str(folder)]) == 2
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["brightness"], "at least one folder"),
+        (["brightness", ".", "--out", "it.npz"], ".safetensors"),
+        (["plain", "."], "nothing to learn"),
+        (["no-such-thing", "."], "there is no recognizer"),
+        (["broken", "."], "'broken' cannot be imported: ModuleNotFoundError"),
+        (["brightness", "nowhere"], "there is no such folder"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(arguments, what, capsys):
+    assert main(["fit", *arguments]) == 2
     error = capsys.readouterr().err
-    assert "recognizer 'broken' cannot be imported: ModuleNotFoundError" in error
-    assert error.count("\n") == 1
-
-
-def test_a_broken_image_or_no_folder_is_one_line(folder, capsys):
-    (folder / "1.png").write_bytes(b"oh")
-    assert main(["fit", "brightness", str(folder)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert main(["fit", "brightness", str(folder / "nowhere")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    assert what in error and error.count("\n") == 1

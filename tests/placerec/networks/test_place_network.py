@@ -129,3 +129,12 @@ def test_images_of_several_sizes_are_one_batch():
 def test_networks_that_cannot_be(make, message):
     with pytest.raises(RecognizerError, match=message):
         make()
+
+
+def test_maps_may_be_described_by_words():
+    network = PlaceNetwork(TINY, 7, words=3)
+    assert network(network.prepare(_images(2))).shape == (2, 7)
+    assert network.flatten(torch.rand(2, 5, 10, 14)).shape == (2, 15)
+    for wrong in ({"words": 1}, {"words": 4, "covariance": True}):
+        with pytest.raises(RecognizerError, match="2 or more, and not together with covariance"):
+            PlaceNetwork(TINY, 7, **wrong)
