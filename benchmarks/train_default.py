@@ -6,6 +6,9 @@
 Renders the scenes, trains in two stages, small images first, and calibrates on floors that were
 not trained on: about an hour and a half on two cores. What is done already is not done again.
 With --ship the result replaces the shipped weights.
+
+With --loss triplet it trains the default's twin, placerec/weights/triplet.safetensors: all the same
+but for the loss, for the paper's main comparison.
 """
 
 import argparse
@@ -14,6 +17,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from placerec.baselines.triplet import TRIPLET_WEIGHTS
 from placerec.embedding import DEFAULT_WEIGHTS
 from placerec.training_run import WEIGHTS_NAME
 
@@ -30,6 +34,7 @@ STAGES = (
     ("--size", "224", "168", "--trunk-learning-rate", "1e-4", "--steps", "800", "--seed", "1"),
 )
 """The second starts from the first one's trunk, its fully connected layer again from whitening."""
+SHIPPED = {"multi-constraint": DEFAULT_WEIGHTS, "triplet": TRIPLET_WEIGHTS}
 FIRST_STAGE_SCENES = (50, 60)
 """Rooms and desks that the first stage learns from; the second takes all."""
 
@@ -42,20 +47,21 @@ def main() -> int:
     parser.add_argument("work", type=Path, help="folder for scenes and trainings")
     parser.add_argument("--ie-tower", type=Path, required=True)
     parser.add_argument("--mobilenet", type=Path, required=True, help="its ImageNet weights")
+    parser.add_argument("--loss", choices=SHIPPED, default="multi-constraint")
     parser.add_argument("--ship", action="store_true")
     options = parser.parse_args()
     scenes, weights = options.work / "scenes", options.mobilenet
     _run(ROOT / "benchmarks/training_scenes.py", scenes, "--photographs", options.ie_tower, *SCENES)
     for number, stage in enumerate(STAGES, start=1):
-        folder = options.work / f"stage{number}"
+        folder = options.work / f"{options.loss}-stage{number}"
         if not (folder / WEIGHTS_NAME).exists():
             images = [*_scenes(scenes, FIRST_STAGE_SCENES if number == 1 else None)]
-            out = ("--out", folder, "--weights", weights)
+            out = ("--out", folder, "--weights", weights, "--loss", options.loss)
             images.append(options.ie_tower)
             _run("-m", "placerec.cli", "train", *images, *out, *NETWORK, *LEARNING, *stage)
         weights = folder / WEIGHTS_NAME
     if options.ship:
-        weights = Path(shutil.copy(weights, DEFAULT_WEIGHTS))
+        weights = Path(shutil.copy(weights, SHIPPED[options.loss]))
     validation = f"{options.ie_tower}:validation"
     _run("-m", "placerec.cli", "calibrate", validation, "--recognizer", weights)
     return 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`placerec evaluate`: how well do recognizers tell places apart, and what do they cost?"""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -43,7 +43,8 @@ def evaluate(
 
     Prints a Markdown table; DIR then holds index.html, a page with curves, matrices and pictures
     that needs no network, and results.csv, every figure in full. One recognizer that fails does
-    not stop the others; the exit code is then 1.
+    not stop the others; the exit code is then 1. Of all that are installed, those whose weights are
+    not on this machine are left out, and the page says so.
 
     Args:
         data: folders of images, each in one of these formats:
@@ -64,20 +65,25 @@ def evaluate(
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
     try:
-        rows = _measure_all(data, recognizers or (ALL,), out, cache)
+        # All that may be wrong with what was asked is found before the long work.
+        loaded = _load_all(recognizers or (ALL,))
+        rows = _measure_all(data, loaded, out, cache)
         print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
         print("".join(f"{note}\n" for note in notes(rows)), end="")
         _write(rows, out)
     except KeyboardInterrupt:
         raise RecognizerError("stopped; embeddings that were kept are not made again") from None
-    return SOMETHING_FAILED if any(isinstance(row, Failed) for row in rows) else 0
+    left_out = {name for name, each in loaded.items() if isinstance(each, RecognizerError)}
+    failed = {row.recognizer for row in rows if isinstance(row, Failed)}
+    return SOMETHING_FAILED if failed - left_out else 0
 
 
 def _measure_all(
-    sources: Sequence[str], names: Sequence[str], out: Path, use_cache: bool
+    sources: Sequence[str],
+    loaded: Mapping[str, PlaceRecognizer | RecognizerError],
+    out: Path,
+    use_cache: bool,
 ) -> list[Measurement]:
-    # All that may be wrong with what was asked is found before the long work.
-    loaded = _load_all(names)
     datasets = [open_data(source) for source in sources]
     for dataset in datasets:
         refuse_without_truth(dataset)

@@ -137,6 +137,15 @@ def test_of_all_that_are_installed_one_that_fails_does_not_stop_the_others(
     assert rows[2]["average_precision"] == "1.0"
 
 
+def test_of_all_that_are_installed_one_without_weights_here_is_left_out_and_said(
+    drives, installed, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(evaluate, "available", lambda: ("frail:Unmade", GRADIENTS))
+    assert main(["evaluate", drives, "--out", str(tmp_path / "out")]) == 0
+    assert "frail:Unmade" in capsys.readouterr().out
+    assert "no weights" in (tmp_path / "out" / "index.html").read_text()
+
+
 def test_all_may_stand_beside_others_each_counted_once(drives, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(evaluate, "available", lambda: (GRADIENTS,))
     assert main(["evaluate", drives, "--recognizers", "all", GRADIENTS]) == 0
