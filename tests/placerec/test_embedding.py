@@ -35,7 +35,7 @@ def recognizer(tmp_path_factory):
 
 def test_conforms(recognizer):
     report = check(recognizer)
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_threshold_comes_with_the_weights(recognizer):
