@@ -22,7 +22,7 @@ FAINT = 1e-6
 class Thumbnails:
     """Thumbnails whose every patch has the same brightness and contrast, compared by the cosine."""
 
-    min_similarity: float = 0.5
+    min_similarity: float = 0.23
     fingerprint = f"thumbnails of {THUMBNAIL_PX} px, patches of {PATCH_PX} px"
     weights = "thumbnails, no weights"
 
@@ -53,10 +53,10 @@ class SeqSlam:
 
     Attributes:
         min_similarity: 1 % of the pairs of images of different validation floors of ie_tower are as
-            similar, with thumbnails; for another recognizer calibrate anew.
+            similar, with thumbnails; with another recognizer it may be another.
     """
 
-    min_similarity: float = 0.5
+    min_similarity: float = 0.3
     looks_back = SEQUENCE - 1
 
     def __init__(self, recognizer: PlaceRecognizer | None = None) -> None:
@@ -87,7 +87,8 @@ class SeqSlam:
     def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
         """Return (Q, R) float32, -1 to 1, of embeddings in the order in which they were seen.
 
-        Where a path leaves the references, nothing speaks for it or against it.
+        Where a path leaves the references, or begins before the first query, nothing speaks for it
+        or against it.
         """
         contrast = stand_out(self._checked.compare(queries, references))
         rows, columns = contrast.shape
@@ -100,8 +101,7 @@ class SeqSlam:
                 start = margin - round(speed * back)
                 along[back:] += wide[: rows - back, start : start + columns]
             best = np.maximum(best, along)
-        length = np.minimum(np.arange(rows) + 1, SEQUENCE)
-        similarities: Similarities = (best / length[:, None]).astype(np.float32)
+        similarities: Similarities = (best / SEQUENCE).astype(np.float32)
         return similarities
 
 
