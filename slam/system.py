@@ -127,8 +127,8 @@ class Slam:
 
         Raises:
             SlamError: there is no keyframe yet.
-            RecognizerError: the recognizer failed on the last keyframe; what was done until then
-                can be finished.
+            RecognizerError: the recognizer failed on one of the last keyframes; what was done until
+                then can be finished.
         """
         return self._back_end.T_world_odom()
 
@@ -137,7 +137,7 @@ class Slam:
 
         Raises:
             SlamError: no frame could be tracked.
-            RecognizerError: the recognizer failed on the only keyframe.
+            RecognizerError: the recognizer failed on the first keyframe.
         """
         failures = self._last_failure()
         keyframes = tuple(self._back_end.keyframes)
@@ -180,7 +180,8 @@ class Slam:
         except RecognizerError as error:
             if not self._back_end.keyframes:
                 raise
-            return (f"the last keyframe is left out: {error}",)
+            left_out = f"all from keyframe {len(self._back_end.keyframes)} on"
+            return (f"{left_out} is left out: {error}",)
         return ()
 
     def _where_tracking_put(self, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
