@@ -10,7 +10,7 @@ from slam import se3
 from slam.back_end import BackEnd, ClosedLoops
 from slam.config import Config
 from slam.features import FeatureExtractor
-from slam.final_map import closed_map
+from slam.final_map import closed_map, too_large
 from slam.odometry import RgbdOdometry, TrackedFrame
 from slam.preview import preview
 from slam.stage_clock import StageClock
@@ -148,10 +148,12 @@ class Slam:
             )
         loops = self._back_end.solve()
         T_world_kf = loops.T_world_kf
+        unadjusted = too_large(len(keyframes)) if self._door == "process" else ()
         if self._door == "process":
             keyframes = self._where_tracking_put(keyframes)
-            with self.clock.stage("adjust"):
-                T_world_kf = self._adjusted(loops)
+            if not unadjusted:
+                with self.clock.stage("adjust"):
+                    T_world_kf = self._adjusted(loops)
         calibration = self._back_end.calibration()
         return SlamResult(
             camera=self._camera,
@@ -168,6 +170,7 @@ class Slam:
             warnings=(
                 *failures,
                 *self._tracking_warnings(),
+                *unadjusted,
                 *loops.warnings,
                 *(calibration.warnings if calibration else ()),
             ),
