@@ -3,6 +3,8 @@
 
     python benchmarks/sequences.py [NAMES...] [--runs 3] [--recognizer NAME] [--out FILE]
 
+Names joined by +, such as fr1_xyz+fr1_desk, are run as one map.
+
 Every run is a process of its own, so that speed and memory hold all that a user waits and pays
 for: start-up, image decoding, report and map. Only the demo's rendering is timed apart. Nothing is
 downloaded: a sequence that is not on this machine is left out.
@@ -90,8 +92,8 @@ def run_python(arguments: list[str], log: Path) -> tuple[float, float, float]:
     return seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / units_per_mb
 
 
-def measure(name: str, sequence: str, recognizer: str, runs: int) -> Measured:
-    """Run one sequence several times.
+def measure(name: str, sequences: list[str], recognizer: str, runs: int) -> Measured:
+    """Run one sequence, or several as one map, several times.
 
     Raises:
         ProcessError: a run failed.
@@ -99,9 +101,9 @@ def measure(name: str, sequence: str, recognizer: str, runs: int) -> Measured:
     with tempfile.TemporaryDirectory(prefix="loopclose-") as scratch:
         folder, log = Path(scratch) / "run", Path(scratch) / "log"
         rendering_s = None
-        if sequence == DEMO:
+        if DEMO in sequences:
             rendering_s, *_ = run_python(["-c", RENDER, str(folder / "sequence")], log)
-        command = ["-m", "slam.cli", sequence, "--out", str(folder), "--recognizer", recognizer]
+        command = ["-m", "slam.cli", *sequences, "--out", str(folder), "--recognizer", recognizer]
         done = []
         for _ in range(runs):
             cost = run_python(command, log)
@@ -201,12 +203,14 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--runs {parsed.runs}: at least one is needed")
     facts, measured = machine(), []
     for name in parsed.names:
-        sequence = find(name)
-        if sequence is None:
+        parts = [name] if Path(name).is_dir() else name.split("+")
+        sequences = [found for found in map(find, parts) if found is not None]
+        if len(sequences) < len(parts):
             print(f"left out, not on this machine: {name}", file=sys.stderr)
             continue
         try:
-            measured.append(measure(Path(name).name, sequence, parsed.recognizer, parsed.runs))
+            title = "+".join(Path(each).name for each in parts)
+            measured.append(measure(title, sequences, parsed.recognizer, parsed.runs))
         except ProcessError as error:
             print(f"left out, it failed ({error}): {name}", file=sys.stderr)
     if not measured:

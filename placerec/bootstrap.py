@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.comparison import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import BestMatches, Evaluation, Similarities
+from placerec.evaluation import BestMatches, Evaluation
 
 RESAMPLES = 1000
 CONFIDENCE = 0.95

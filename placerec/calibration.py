@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from placerec.bootstrap import CONFIDENCE, draws, resampling_units
 from placerec.certificate import TAIL, Certificate, fingerprint
+from placerec.comparison import Embeddings, Similarities
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import Curve, Embeddings, Similarities, compare, pair_curve
-from placerec.recognizer import PlaceRecognizer, RecognizerError
+from placerec.evaluation import Curve, compare, pair_curve
+from placerec.recognizer import CheckedRecognizer, PlaceRecognizer, RecognizerError
 
 CURVE_POINTS = 200
 BLOCK = 4096
@@ -44,13 +45,13 @@ def calibrate(
         name: what the recognizer was loaded by.
         recognizer: the one that made the embeddings.
         dataset: images that neither training nor a choice has seen.
-        embeddings: (N, D) of its images.
+        embeddings: (N, *S) of its images.
         seed: of the bootstrap.
 
     Raises:
         RecognizerError: every threshold has an error, or the dataset shows nothing.
     """
-    similarities = compare(embeddings, dataset)
+    similarities = compare(embeddings, dataset, CheckedRecognizer(recognizer, name))
     curve = pair_curve(similarities, dataset)
     right = _pairs(similarities, dataset, dataset.pairs & dataset.same_place)
     wrong = _pairs(similarities, dataset, dataset.pairs & ~dataset.same_place)

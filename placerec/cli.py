@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from placerec.commands import calibrate, check, evaluate, train
+from placerec.commands import calibrate, check, evaluate, fit, train
 from placerec.recognizer import RecognizerError
 
 BAD_USAGE = 2
@@ -15,7 +15,7 @@ BAD_USAGE = 2
 DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
 
 app = tyro.extras.SubcommandApp()
-for command in (check, evaluate, calibrate, train):
+for command in (check, evaluate, calibrate, fit, train):
     app.command(command)
 
 

@@ -22,7 +22,7 @@ class EmbeddedImages:
     """What a recognizer makes of N images.
 
     Attributes:
-        embeddings: (N, D) float32.
+        embeddings: (N, *S) float32.
         seconds: (N,) float64, how long each took when it was made.
         oldest: the day the oldest was made on by an earlier run, None where all are of this one.
     """
@@ -58,9 +58,9 @@ def embed_dataset(
         seconds.append(took_s)
         if progress:
             progress(i + 1, len(dataset))
-    if len({vector.size for vector in vectors}) > 1:
+    if len({vector.shape for vector in vectors}) > 1:
         raise RecognizerError(
-            "embeddings kept from before have another size; change the recognizer's fingerprint "
+            "embeddings kept from before have another shape; change the recognizer's fingerprint "
             "whenever its embeddings change"
         )
     return EmbeddedImages(np.stack(vectors), np.array(seconds), min(days, default=None))

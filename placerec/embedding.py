@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A trained network as a place recognizer."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -17,10 +16,13 @@ from placerec.certificate import (
     write_certificate,
 )
 from placerec.networks import TRUNKS, Trunk
+from placerec.networks.one_thread import one_thread
 from placerec.recognizer import RecognizerError
 from placerec.weights_file import hash_network, load_weights, set_min_similarity
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "default.safetensors"
+TRAINED_ON = ("ie_tower:train",)
+"""Of what is measured on, what the default weights have seen: see their model card."""
 FRAMES_PER_PASS = 32
 
 
@@ -30,9 +32,13 @@ class LearnedRecognizer:
     Attributes:
         network: the trained network.
         min_similarity: cosine from which a match is worth verifying, stored with the weights.
+        weights: which ones these are, in a line.
+        trained_on: names of datasets, as far as known: of the default weights.
     """
 
     min_similarity: float
+    weights: str
+    trained_on: tuple[str, ...]
 
     def __init__(
         self, path: Path = DEFAULT_WEIGHTS, trunks: Iterable[Trunk] = tuple(TRUNKS.values())
@@ -49,6 +55,10 @@ class LearnedRecognizer:
             )
         self.network, self.min_similarity = load_weights(path, trunks)
         self._path = path
+        own = path == DEFAULT_WEIGHTS
+        title = "those of the package" if own else path.name
+        self.weights = f"{self.network.title}, trained as in the paper: {title}"
+        self.trained_on = TRAINED_ON if own else ()
 
     @cached_property
     def fingerprint(self) -> str:
@@ -82,9 +92,7 @@ class LearnedRecognizer:
         Raises:
             RecognizerError: it is no such image.
         """
-        # On one thread: a second one saves a few milliseconds on an idle machine, costs ten times
-        # as many on a busy one, and changes the last bits with the number of cores.
-        with _one_thread(), torch.inference_mode():
+        with one_thread(), torch.inference_mode():
             embedding: NDArray[np.float32] = self.network(self.network.prepare([image]))[0].numpy()
         return embedding
 
@@ -123,13 +131,3 @@ def keep_calibration(weights: Path, certificate: Certificate) -> Path:
     write_certificate(certificate, path)
     set_min_similarity(weights, certificate.min_similarity)
     return path
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -2,6 +2,7 @@
 """Embeddings of image files, kept between runs; what is damaged is as if it had never been kept."""
 
 import hashlib
+import io
 import struct
 import time
 from datetime import date
@@ -19,12 +20,13 @@ from placerec.user_cache import cache_folder
 LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
 """With another version of these, the last digits of an embedding may be others."""
 _STARTED_S = time.time()
+FORMAT = "seconds, time, npy"
 _FACTS = struct.Struct("<dd")
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 class KeptEmbedding(NamedTuple):
-    """An embedding, (D,) float32, and how long it took to make.
+    """An embedding, float32 of any shape, and how long it took to make.
 
     The day is that on which an earlier run made it, None where this one did.
     """
@@ -64,7 +66,7 @@ class EmbeddingCache:
         if hashlib.sha256(facts).digest() != digest:
             return None
         seconds, made_s = _FACTS.unpack_from(facts)
-        vector = np.frombuffer(facts, np.float32, offset=_FACTS.size)
+        vector = np.load(io.BytesIO(facts[_FACTS.size :]), allow_pickle=False)
         made_on = date.fromtimestamp(made_s) if made_s < _STARTED_S else None
         return KeptEmbedding(vector, seconds, made_on)
 
@@ -72,7 +74,9 @@ class EmbeddingCache:
         """Keep an image file's embedding, made just now; where that cannot be, it is let go."""
         if not self._is_writable:
             return
-        facts = _FACTS.pack(seconds, time.time()) + vector.astype(np.float32).tobytes()
+        array = io.BytesIO()
+        np.save(array, vector.astype(np.float32), allow_pickle=False)
+        facts = _FACTS.pack(seconds, time.time()) + array.getvalue()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             write_atomically(self._file(image), hashlib.sha256(facts).digest() + facts)
@@ -92,7 +96,7 @@ def fingerprint_of(recognizer: PlaceRecognizer) -> str | None:
 def _recognizer_key(recognizer: PlaceRecognizer, fingerprint: str) -> str:
     kind = type(recognizer)
     made_by = [f"{library} {_version(library)}" for library in LIBRARIES]
-    facts = "\n".join([fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by])
+    facts = "\n".join([FORMAT, fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by])
     return hashlib.sha256(facts.encode()).hexdigest()[:32]
 
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.comparison import COSINES, Comparer, Embeddings, Similarities
 from placerec.datasets import PlaceDataset
 from placerec.recognizer import RecognizerError
 
 FloatArray = NDArray[np.float64]
-Embeddings = NDArray[np.float32]
-Similarities = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -93,13 +92,16 @@ class Evaluation:
     recall_at_10: float
 
 
-def evaluate(dataset: PlaceDataset, embeddings: Embeddings) -> Evaluation:
-    """Judge the (N, D) embeddings of a dataset's images.
+def evaluate(
+    dataset: PlaceDataset, embeddings: Embeddings, comparer: Comparer = COSINES
+) -> Evaluation:
+    """Judge the (N, *S) embeddings of a dataset's images, compared as their recognizer does it.
 
     Raises:
-        RecognizerError: the dataset has no pair of one place, or none of different places.
+        RecognizerError: the dataset has no pair of one place, or none of different places, or
+            the embeddings cannot be compared.
     """
-    similarities = compare(embeddings, dataset)
+    similarities = compare(embeddings, dataset, comparer)
     return Evaluation(
         similarities=similarities,
         pair_curve=pair_curve(similarities, dataset),
@@ -126,13 +128,15 @@ def refuse_without_truth(dataset: PlaceDataset) -> None:
         )
 
 
-def compare(embeddings: Embeddings, dataset: PlaceDataset) -> Similarities:
-    """Return the (Q, R) cosines between a dataset's queries and references."""
-    # Added up in double precision, so that equal pairs tie however BLAS splits the sums.
-    rows = embeddings.astype(np.float64)
-    products = rows[dataset.queries] @ rows[dataset.references].T
-    similarities: Similarities = products.astype(np.float32)
-    return similarities
+def compare(
+    embeddings: Embeddings, dataset: PlaceDataset, comparer: Comparer = COSINES
+) -> Similarities:
+    """Return the (Q, R) similarities between a dataset's queries and references.
+
+    Raises:
+        RecognizerError: the recognizer that compares them fails.
+    """
+    return comparer.compare(embeddings[dataset.queries], embeddings[dataset.references])
 
 
 def pair_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve:

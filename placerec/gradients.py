@@ -43,6 +43,7 @@ class GradientRecognizer:
     """
 
     min_similarity: float = 0.98
+    weights: str = "none: nothing in it is learned"
 
     @cached_property
     def fingerprint(self) -> str:

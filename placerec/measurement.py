@@ -10,7 +10,7 @@ from placerec.datasets import PlaceDataset
 from placerec.embedded_images import Progress, embed_dataset
 from placerec.embedding_cache import EmbeddingCache, fingerprint_of
 from placerec.evaluation import Evaluation, evaluate
-from placerec.recognizer import PlaceRecognizer, RecognizerError
+from placerec.recognizer import CheckedRecognizer, PlaceRecognizer, RecognizerError
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,8 @@ def measure(
         has_cache = use_cache and fingerprint_of(recognizer) is not None
         cache = EmbeddingCache(recognizer) if has_cache else None
         embedded = embed_dataset(recognizer, dataset, cache, progress)
-        found = evaluate(dataset, embedded.embeddings)
+        comparer = CheckedRecognizer(recognizer, name)
+        found = evaluate(dataset, embedded.embeddings, comparer)
         return Measured(
             dataset=dataset,
             recognizer=name,
@@ -81,7 +82,7 @@ def measure(
             trained_on=_trained_on(recognizer, dataset),
             evaluation=found,
             intervals=bootstrap(found, dataset),
-            cost=measure_cost(embedded.embeddings, embedded.seconds),
+            cost=measure_cost(embedded.embeddings, embedded.seconds, comparer),
             timed_on=embedded.oldest,
         )
     except RecognizerError as error:

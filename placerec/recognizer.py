@@ -11,11 +11,14 @@ from typing import NoReturn, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.comparison import COSINES, Comparer, Embeddings, Similarities, flaw_in
+
 ENTRY_POINT_GROUP = "placerec.recognizers"
 WEIGHTS_SUFFIX = ".safetensors"
 WEIGHTS_READER = "placerec.embedding:LearnedRecognizer"
 """Found when it is needed, as every recognizer: reading weights takes torch, nothing else here."""
 MAX_LENGTH_ERROR = 1e-3
+LOOKS_BACK = 32
 
 
 class RecognizerError(Exception):
@@ -29,8 +32,16 @@ class PlaceRecognizer(Protocol):
     It may also have a `certificate`, what min_similarity was calibrated on, and a `fingerprint`
     that tells its versions apart: see `placerec.certificate`.
 
+    A method that compares by something other than one dot product has a method
+    `compare(queries, references)`. It takes (Q, *S) and (R, *S) float32 embeddings, each in the
+    order in which they were seen, and returns (Q, R) float32 similarities from -1 to 1: larger is
+    more alike, an image with itself 1. `embed` may then return a finite array of any shape S,
+    always the same. While a map is made, the queries are the latest embeddings and the last row of
+    the answer is used: the 32 before it come along for methods that compare sequences, or as many
+    as `looks_back: int` says, which makes comparing faster where it is 0.
+
     Attributes:
-        min_similarity: cosine from which a match is worth verifying, calibrated for this method;
+        min_similarity: similarity from which a match is worth verifying, calibrated for this one;
             not one from which it is surely right, for geometry has the last word.
     """
 
@@ -77,50 +88,75 @@ def load(name: str) -> PlaceRecognizer:
 class CheckedRecognizer:
     """A recognizer whose every answer is checked, so that its callers need not doubt it.
 
+    It always has `compare`: by cosine, unless the recognizer has its own.
+
     Attributes:
-        min_similarity: cosine from which a match is worth verifying, finite, -1 to 1.
+        min_similarity: similarity from which a match is worth verifying, finite, -1 to 1.
+        looks_back: how many queries before the one in question matter to its similarities.
     """
 
     min_similarity: float
+    looks_back: int
 
     def __init__(self, recognizer: PlaceRecognizer, name: str | None = None) -> None:
         """Wrap a recognizer; the name is what errors call it, by default its class's.
 
         Raises:
-            RecognizerError: a member is missing or min_similarity is not a cosine.
+            RecognizerError: a member is missing or is not what it must be.
         """
         self._title = f"recognizer {name or type(recognizer).__name__!r}"
         self._recognizer = _with_members(recognizer, self._title)
-        self._dimension: int | None = None
+        self._comparer = self._own_comparer() or COSINES
+        self._shape: tuple[int, ...] | None = None
         self.min_similarity = self._checked_threshold(recognizer.min_similarity)
+        self.looks_back = self._checked_looks_back()
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the (D,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image.
+        """Return the float32 embedding of a (H, W, 3) uint8 RGB image.
+
+        It is (D,) and of unit length; of another shape only if the recognizer compares its own.
 
         Raises:
-            RecognizerError: the recognizer failed, or its answer is not a finite vector of unit
-                length with as many values as before.
+            RecognizerError: the recognizer failed, or its answer is not finite, not of the shape
+                as before, or not the unit vector that it must be.
         """
         try:
             answer = self._recognizer.embed(image)
         except Exception as error:
             raise RecognizerError(f"{self._title} failed: {_cause(error)}") from error
-        return self._unit_vector(self._vector(answer))
+        values = self._array(answer)
+        return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
 
-    def _vector(self, answer: object) -> NDArray[np.float64]:
+    def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
+        """Return the (Q, R) float32 similarities, -1 to 1, of (Q, *S) and (R, *S) embeddings.
+
+        Both are in the order in which they were seen.
+
+        Raises:
+            RecognizerError: the recognizer failed, or its answer is no such similarities.
+        """
         try:
-            vector = np.asarray(answer, dtype=np.float64)
+            answer = self._comparer.compare(queries, references)
+        except Exception as error:
+            raise RecognizerError(f"{self._title} failed to compare: {_cause(error)}") from error
+        if flaw := flaw_in(answer, (len(queries), len(references))):
+            self._refuse(flaw)
+        return np.clip(np.asarray(answer, np.float32), -1.0, 1.0)
+
+    def _array(self, answer: object) -> NDArray[np.float64]:
+        try:
+            values = np.asarray(answer, dtype=np.float64)
         except Exception as error:
             self._refuse(f"a {type(answer).__name__} that is not an array of numbers", error)
-        if vector.ndim != 1 or vector.size == 0:
-            self._refuse(f"an array of shape {vector.shape}; embed must return shape (D,)")
-        if not np.isfinite(vector).all():
-            count = np.count_nonzero(~np.isfinite(vector))
-            self._refuse(f"{count} of {vector.size} values that are NaN or infinite")
-        if self._dimension not in (None, vector.size):
-            self._refuse(f"{vector.size} values after {self._dimension} for earlier images")
-        self._dimension = vector.size
-        return vector
+        if values.size == 0 or values.ndim == 0 or (values.ndim > 1 and self._comparer is COSINES):
+            self._refuse(f"an array of shape {values.shape}; embed must return shape (D,)")
+        if not np.isfinite(values).all():
+            count = np.count_nonzero(~np.isfinite(values))
+            self._refuse(f"{count} of {values.size} values that are NaN or infinite")
+        if self._shape not in (None, values.shape):
+            self._refuse(f"an array of shape {values.shape} after {self._shape} for earlier images")
+        self._shape = values.shape
+        return values
 
     def _unit_vector(self, vector: NDArray[np.float64]) -> NDArray[np.float32]:
         length = float(np.linalg.norm(vector))
@@ -135,9 +171,21 @@ class CheckedRecognizer:
             threshold = np.nan
         if not -1.0 <= threshold <= 1.0:
             raise RecognizerError(
-                f"{self._title} has min_similarity = {value!r}; it must be a cosine, -1 to 1"
+                f"{self._title} has min_similarity = {value!r}; it must lie from -1 to 1"
             )
         return threshold
+
+    def _own_comparer(self) -> Comparer | None:
+        own = getattr(self._recognizer, "compare", None)
+        if own is not None and not callable(own):
+            raise RecognizerError(f"{self._title} has a compare that is no method")
+        return None if own is None else cast(Comparer, self._recognizer)
+
+    def _checked_looks_back(self) -> int:
+        count: object = getattr(self._comparer, "looks_back", LOOKS_BACK)
+        if not isinstance(count, int) or count < 0:
+            raise RecognizerError(f"{self._title} has looks_back = {count!r}; it must be 0 or more")
+        return count
 
     def _refuse(self, what: str, cause: Exception | None = None) -> NoReturn:
         raise RecognizerError(f"{self._title} returned {what}") from cause

@@ -18,6 +18,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
   run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
                                         Open3D, Redwood or RealSense, told by what it holds
+  run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
   run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
 
 Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
@@ -29,13 +30,27 @@ class Arguments:
 
     sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
     """Folder of a recording, short name of a TUM RGB-D benchmark sequence, or `demo`."""
+    more: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")
+    ] = ()
+    """Later recordings of the same camera, which are to make one map with the first."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for the outputs; default: runs/SEQUENCE."""
+    """Folder for the outputs; default: runs/SEQUENCE, the names of several joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
     """Place recognizer: an installed name, package.module:ClassName, or FILE.safetensors."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+
+    @property
+    def sequences(self) -> tuple[str, ...]:
+        """All recordings, as they were named."""
+        return self.sequence, *self.more
+
+    @property
+    def title(self) -> str:
+        """The names of the recordings' folders, joined by +."""
+        return "+".join(Path(each).resolve().name for each in self.sequences)
 
 
 def parse(arguments: list[str]) -> Arguments:

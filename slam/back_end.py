@@ -2,7 +2,7 @@
 """Places, loops and the pose graph: worked on behind the tracker's back, one keyframe at a time."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.recognizer import PlaceRecognizer, RecognizerError
-from slam import se3
+from slam.atlas import Atlas
 from slam.calibration import Calibration
 from slam.config import Config
 from slam.loop_closure import LoopCloser
-from slam.pose_graph import GraphSolution, PoseGraph
+from slam.parts import NEEDED_LOOPS
 from slam.stage_clock import StageClock
 from slam.types import (
     MIN_TRUSTED_WEIGHT,
@@ -23,8 +23,8 @@ from slam.types import (
     Keyframe,
     Link,
     LoopAttempt,
-    RelativePose,
-    SlamError,
+    Rejection,
+    RejectionReason,
 )
 
 _ROOM = 8  # keyframes in line: a camera that turns fast makes some in a row, and then fewer
@@ -35,13 +35,15 @@ class ClosedLoops:
     """What all keyframes together say.
 
     Attributes:
-        T_world_kf: (K, 4, 4).
+        T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's part of the map to the largest.
         attempts: every loop candidate, with its final weight.
+        links: the motions that are no loops, of the keyframes that have a place.
         warnings: one sentence each.
     """
 
     T_world_kf: FloatArray
     attempts: tuple[LoopAttempt, ...]
+    links: tuple[Link, ...]
     warnings: tuple[str, ...]
 
     def trusted_pairs(self) -> list[tuple[int, int]]:
@@ -62,25 +64,24 @@ class BackEnd:
     than the one before.
 
     Attributes:
-        keyframes, links: what was taken in completely.
+        keyframes: those that were taken in completely.
     """
 
     def __init__(
         self, camera: Camera, recognizer: PlaceRecognizer, config: Config, clock: StageClock
     ) -> None:
         self._loop_closer = LoopCloser(camera, recognizer, config.loop, config.verification)
-        self._graph = PoseGraph(config.graph)
+        self._atlas = Atlas(config.graph)
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
         self._in_line: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: RecognizerError | None = None  # nothing after it is taken in
         self._attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
-        self.links: list[Link] = []
 
     @property
     def min_similarity(self) -> float:
-        """The cosine from which candidates are verified."""
+        """The similarity from which candidates are verified."""
         return self._loop_closer.min_similarity
 
     @property
@@ -110,38 +111,43 @@ class BackEnd:
             attempts = self._first_in_line()
         return attempts
 
-    def T_world_odom(self) -> FloatArray:
+    def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
         """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
 
+        Args:
+            frames: as for `solve`.
+
         Raises:
-            SlamError: there is no keyframe yet.
+            SlamError: there is no keyframe yet, or its part of the map is not joined to the rest.
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
-        if not self.keyframes:
-            raise SlamError("there is no keyframe yet that a correction could be known of")
-        newest = self.keyframes[-1]
         with self._clock.stage("graph"):
-            self._graph.update()
-        return self._graph.T_world_kf(newest.id) @ se3.inverse(newest.T_odom_cam)
+            return self._atlas.T_world_odom(self._counted(frames))
 
-    def solve(self) -> ClosedLoops:
+    def solve(self, frames: Mapping[int, int] | None = None) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
 
+        Args:
+            frames: how many there are of each keyframe id, to tell which part of the map is the
+                largest; default: one of each.
+
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
         with self._clock.stage("graph"):
-            solution: GraphSolution = self._graph.finish()
+            solution = self._atlas.finish(self._counted(frames))
         attempts = tuple(
-            replace(attempt, weight=solution.weights.get(key))
+            _unjoined(attempt, solution.unjoined[key])
+            if key in solution.unjoined
+            else replace(attempt, weight=solution.weights.get(key))
             for key, attempt in enumerate(self._attempts)
         )
-        return ClosedLoops(solution.T_world_kf, attempts, solution.warnings)
+        return ClosedLoops(solution.T_world_kf, attempts, solution.links, solution.warnings)
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), the cosine between the embeddings of all keyframes."""
+        """Return (K, K), how alike all keyframes are, -1 to 1."""
         return self._loop_closer.similarities()
 
     def calibration(self) -> Calibration | None:
@@ -155,6 +161,9 @@ class BackEnd:
             self._in_line.clear()  # they end the same way, which nobody has to hear twice
             raise
 
+    def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
+        return dict.fromkeys(range(len(self.keyframes)), 1) if frames is None else frames
+
     def _take(
         self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
     ) -> tuple[LoopAttempt, ...]:
@@ -166,9 +175,8 @@ class BackEnd:
             linked_ids = [link.ref_id for link in links]
             attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
         with self._clock.stage("graph"):
-            self._constrain(keyframe, links, attempts)
+            self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
         self.keyframes.append(keyframe)
-        self.links.extend(links)
         self._attempts.extend(attempts)
         return attempts
 
@@ -179,15 +187,8 @@ class BackEnd:
             self._failure = failure
             raise
 
-    def _constrain(
-        self, keyframe: Keyframe, links: Sequence[Link], attempts: Sequence[LoopAttempt]
-    ) -> None:
-        T_world_kf = np.eye(4)
-        if links:
-            T_world_kf = self._graph.T_world_kf(links[0].ref_id) @ links[0].motion.T_ref_query
-        self._graph.add_keyframe(keyframe.id, T_world_kf)
-        for link in links:
-            self._graph.add_link(link)
-        for key, attempt in enumerate(attempts, start=len(self._attempts)):
-            if isinstance(attempt.outcome, RelativePose):
-                self._graph.add_loop(key, attempt.match_id, attempt.query_id, attempt.outcome)
+
+def _unjoined(attempt: LoopAttempt, agreeing: int) -> LoopAttempt:
+    return replace(
+        attempt, outcome=Rejection(RejectionReason.UNJOINED, agreeing, NEEDED_LOOPS), weight=None
+    )

@@ -15,7 +15,7 @@ class Calibration:
 
     Attributes:
         certificate: the recognizer's own.
-        live_similarities: (M,) float32, cosines of all pairs of keyframes that could be loops.
+        live_similarities: (M,) float32, similarities of all pairs of keyframes that could be loops.
     """
 
     certificate: Certificate

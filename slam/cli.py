@@ -16,7 +16,7 @@ from slam.arguments import Arguments, parse
 from slam.types import Frame, SlamError, SlamResult
 
 if TYPE_CHECKING:
-    from slam.datasets import Sequence
+    from slam.datasets import Sequence, Sessions
     from slam.drift import DriftReport
     from slam.system import Slam
 
@@ -44,50 +44,51 @@ def _fail(message: str) -> int:
 
 def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
+    from slam.datasets import Sessions
     from slam.run_folder import make_run_folder, write_run
     from slam.summary_table import summary_table
     from slam.system import Slam
 
     recognizer = load(arguments.recognizer)
-    folder = arguments.out or Path("runs") / Path(arguments.sequence).resolve().name
-    sequence = _open(arguments, folder)
+    folder = arguments.out or Path("runs") / arguments.title
+    sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
     make_run_folder(folder)
-    slam = Slam(sequence.camera, recognizer, arguments.settings)
-    stopped = _process(slam, sequence)
+    slam = Slam(sessions.camera, recognizer, arguments.settings)
+    stopped = _process(slam, sessions)
     if stopped and not slam.has_keyframes:
         raise stopped
     # What was done is worth the seconds that writing it takes, but to one who asks again.
     is_second = isinstance(stopped, KeyboardInterrupt)
     with nullcontext() if is_second else deferred_interrupts():
         result = slam.finish()
-        drift, doubts = _judge(result, sequence, arguments)
+        drift, doubts = _judge(result, sessions, arguments)
         if stopped:
             doubts = (f"the run stopped early: {_why(stopped)}", *doubts)
-        result = replace(result, warnings=(*doubts, *sequence.warnings, *result.warnings))
+        result = replace(result, warnings=(*doubts, *sessions.warnings, *result.warnings))
         write_run(
             folder,
             result,
             drift,
-            sequence.ground_truth,
+            sessions.ground_truth,
             arguments.settings,
-            title=Path(arguments.sequence).resolve().name,
-            command=f"run_slam {arguments.sequence} --recognizer {arguments.recognizer}",
+            title=arguments.title,
+            command=f"run_slam {' '.join(arguments.sequences)} --recognizer {arguments.recognizer}",
         )
     print(summary_table(result, drift, folder))
     if stopped:
         raise SlamError(f"{_why(stopped)}; what was done until then is in {folder}")
 
 
-def _open(arguments: Arguments, folder: Path) -> "Sequence":
+def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
     from slam.datasets import open_sequence, resolve
 
-    if arguments.sequence == DEMO:
+    if name == DEMO:
         path = folder / "sequence"
         if not path.exists():
             _render_demo(path)
     else:
         with closing(_Bar("fetching", unit="B", unit_scale=True)) as bar:
-            path = resolve(arguments.sequence, bar)
+            path = resolve(name, bar)
     print(f"reading {path}", file=sys.stderr)
     sequence = open_sequence(path, arguments.settings.input)
     for warning in sequence.warnings:  # now, for they may tell why the run fails
@@ -102,14 +103,16 @@ def _render_demo(path: Path) -> None:
         render_sequence(path, progress=bar)
 
 
-def _process(slam: "Slam", sequence: "Sequence") -> BaseException | None:
+def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
     """Feed all frames; return what stopped it early, so that the frames until then are kept."""
     with deferred_interrupts() as interrupted:  # half a keyframe could not be finished
         try:
-            for frame in _timed(slam, sequence):
-                slam.process(frame)
-                if interrupted.is_set():
-                    return KeyboardInterrupt()
+            for recording in sessions.recordings:
+                slam.start_session()
+                for frame in _timed(slam, recording):
+                    slam.process(frame)
+                    if interrupted.is_set():
+                        return KeyboardInterrupt()
         except (SlamError, RecognizerError) as stopped:
             return stopped
     return None
@@ -128,12 +131,12 @@ def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:
 
 
 def _judge(
-    result: SlamResult, sequence: "Sequence", arguments: Arguments
+    result: SlamResult, sessions: "Sessions", arguments: Arguments
 ) -> tuple["DriftReport | None", tuple[str, ...]]:
     """Compare with ground truth where there is enough of it; else say why not."""
     from slam.drift import compare_drift
 
-    truth = sequence.ground_truth
+    truth = sessions.ground_truth
     if truth is None:
         return None, ("there is no ground truth, so no ATE can be given",)
     try:
@@ -144,6 +147,7 @@ def _judge(
             result.attempts,
             result.keyframes,
             arguments.settings.evaluation,
+            result.session_starts_s,
         )
     except SlamError as error:
         return None, (f"no ATE can be given: {error}",)

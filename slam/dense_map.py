@@ -20,6 +20,8 @@ def fuse(result: SlamResult, config: MapConfig) -> o3d.geometry.PointCloud:
     rays_px = _undistorted_grid(result.camera, result.keyframes[0].preview.depth_m.shape)
     fused = o3d.geometry.PointCloud()
     for keyframe, T_world_cam in zip(result.keyframes, result.T_world_kf, strict=True):
+        if np.isnan(T_world_cam).any():  # in a part of the map that was not joined
+            continue
         cloud = _cloud(keyframe, rays_px, result.camera, config.max_depth_m)
         # Thinned one by one first: the cloud in memory stays as small as the map.
         fused += cloud.voxel_down_sample(config.voxel_m).transform(T_world_cam)

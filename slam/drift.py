@@ -123,6 +123,7 @@ def compare_drift(
     attempts: Sequence[LoopAttempt],
     keyframes: Sequence[Keyframe],
     config: EvaluationConfig,
+    session_starts_s: Sequence[float] | FloatArray = (),
 ) -> DriftReport:
     """Measure the drift before and after loop closure, and judge every loop attempt.
 
@@ -137,9 +138,9 @@ def compare_drift(
         after=trajectory_error(corrected, truth, config),
         loops=judge_loops(attempts, keyframes, truth, config),
         tolerance_s=config.max_time_difference_s,
-        coverage=coverage(odometry, truth),
+        coverage=coverage(odometry, truth, session_starts_s),
         rpe_interval_s=config.rpe_interval_s,
-        truth_length_m=path_length_m(compared),
+        truth_length_m=sum(path_length_m(each) for each in _sessions(compared, session_starts_s)),
     )
 
 
@@ -166,13 +167,29 @@ def judge_loops(
     )
 
 
-def coverage(estimate: Trajectory, truth: Trajectory) -> float:
-    """Return the share of an estimate's time span, 0 to 1, during which there is ground truth."""
-    start_s, end_s = estimate.timestamps_s[0], estimate.timestamps_s[-1]
-    stamps_s = np.clip(truth.timestamps_s, start_s, end_s)
+def coverage(
+    estimate: Trajectory, truth: Trajectory, session_starts_s: Sequence[float] | FloatArray = ()
+) -> float:
+    """Return the share of an estimate's time span, 0 to 1, during which there is ground truth.
+
+    The breaks before sessions that start later are no part of it.
+    """
     is_covered = np.diff(truth.timestamps_s) <= MAX_TRUTH_GAP_S
-    covered_s = np.diff(stamps_s)[is_covered].sum()
-    return float(covered_s / (end_s - start_s)) if end_s > start_s else 0.0
+    covered_s = total_s = 0.0
+    for session in _sessions(estimate, session_starts_s):
+        start_s, end_s = session.timestamps_s[0], session.timestamps_s[-1]
+        stamps_s = np.clip(truth.timestamps_s, start_s, end_s)
+        covered_s += float(np.diff(stamps_s)[is_covered].sum())
+        total_s += end_s - start_s
+    return covered_s / total_s if total_s > 0.0 else 0.0
+
+
+def _sessions(
+    trajectory: Trajectory, session_starts_s: Sequence[float] | FloatArray
+) -> list[Trajectory]:
+    splits = np.searchsorted(trajectory.timestamps_s, session_starts_s)
+    columns = (np.split(each, splits) for each in vars(trajectory).values())
+    return [Trajectory(*part) for part in zip(*columns, strict=True) if len(part[0])]
 
 
 def _judge(

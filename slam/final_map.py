@@ -28,24 +28,28 @@ def too_large(keyframes: int) -> tuple[str, ...]:
 
 
 def closed_map(
-    the_map: LandmarkMap, T_world_kf: FloatArray, loops: Sequence[tuple[int, int]]
+    the_map: LandmarkMap,
+    keyframe_ids: Sequence[int],
+    T_world_kf: FloatArray,
+    loops: Sequence[tuple[int, int]],
 ) -> LandmarkMap:
     """Return the map moved to where the pose graph puts it, tied across the loops, and adjusted.
 
     Args:
         the_map: the tracker's map; it stays as it is.
-        T_world_kf: (K, 4, 4) keyframe poses to start from.
+        keyframe_ids: the K keyframes that have a place; the others stay as they are.
+        T_world_kf: (K, 4, 4) their poses to start from.
         loops: pairs of keyframe ids that show the same place.
     """
-    final, everyone = the_map.copy(), range(len(T_world_kf))
-    final.carry(everyone, T_world_kf)
+    final = the_map.copy()
+    final.carry(keyframe_ids, T_world_kf)
     for match_id, query_id in loops:
         _look_again(final, query_id, match_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
         _look_again(final, match_id, query_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
-    _adjust(final, everyone)
-    for k in everyone:
+    _adjust(final, keyframe_ids)
+    for k in keyframe_ids:
         _look_again(final, k, k, _ADJUSTED_COMPANY, _ADJUSTED_RADIUS_PX)
-    _adjust(final, everyone)
+    _adjust(final, keyframe_ids)
     return final
 
 

@@ -162,6 +162,8 @@ class LandmarkMap:
             table.positions_m[keyframe.made] = se3.transform(
                 T_new_old, table.positions_m[keyframe.made]
             )
+            turned = table.directions[keyframe.made] @ T_new_old[:3, :3].T
+            table.directions[keyframe.made] = turned
             keyframe.T_map_cam = T_new
 
     def _observe(self, keyframe_id: int, pairs: IntArray) -> None:

@@ -53,7 +53,7 @@ class LoopRecord:
     Attributes:
         query_id, match_id: keyframe ids; the query is the later one.
         query_timestamp_s, match_timestamp_s: seconds.
-        similarity, min_similarity: cosine of the two embeddings, and from where one is verified.
+        similarity, min_similarity: of the two embeddings, and from where one is verified.
         accepted: whether geometry and the pose graph both believe the loop.
         reason: stable code of the rejection, such as `few_inliers`; None if accepted.
         explanation: the same in words.

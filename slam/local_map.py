@@ -30,6 +30,7 @@ class LocalMap:
             camera, config.features.levels, config.verification.max_descriptor_distance
         )
         self.nearby_ids: IntArray = np.zeros(0, dtype=np.int64)
+        self._origins: set[int] = set()
 
     def insert(
         self, features: Features, grid: FeatureGrid, T_odom_cam: FloatArray, pairs: IntArray
@@ -44,6 +45,8 @@ class LocalMap:
         self._cull(window, newest)
         if neighbours:
             self._adjust(window)
+        else:
+            self._origins.add(newest)
         self.nearby_ids = self.whole.seen_by(window)
         return newest
 
@@ -55,7 +58,8 @@ class LocalMap:
     def _adjust(self, window: list[int]) -> None:
         company = self.whole.company(self.whole.seen_by(window))
         outer = [k for k in company if k not in window][:_OUTER]
-        # The first keyframe is the origin; it moves for nobody.
-        free = [k for k in window if k > 0]
-        part = take_part(self.whole, free, [*outer, *(k for k in window if k == 0)])
+        # The first keyframe of a segment is its origin; it moves for nobody.
+        free = [k for k in window if k not in self._origins]
+        origins = [k for k in window if k in self._origins]
+        part = take_part(self.whole, free, [*outer, *origins])
         put_back(self.whole, adjusted(part, self.whole.camera, _ROUNDS))

@@ -73,9 +73,12 @@ def write_run(
             (folder / name).unlink(missing_ok=True)
     settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
+    has_place = np.isfinite(result.T_world_kf[:, 0, 0])
     write_tum(folder / "trajectory.txt", result.trajectory)
     write_tum(folder / "odometry.txt", result.odometry)
-    write_tum(folder / "keyframes.txt", Trajectory(keyframe_s, result.T_world_kf))
+    write_tum(
+        folder / "keyframes.txt", Trajectory(keyframe_s[has_place], result.T_world_kf[has_place])
+    )
     if truth is not None:
         write_tum(folder / "groundtruth.txt", truth)
     write_ledger(folder / "loops.jsonl", result, drift)

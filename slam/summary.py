@@ -4,6 +4,8 @@
 import math
 from dataclasses import asdict
 
+import numpy as np
+
 from slam.drift import DriftReport, TrajectoryError
 from slam.types import RejectionReason, SlamResult
 from slam.verdict import final_rejection
@@ -13,7 +15,9 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     """Return summary.json's content; every key says its unit, None stands for unknown.
 
     - camera: what the run took it to be; depth_scale in depth image units per metre.
+    - sessions, segments: recordings, and those stretches without interruption that have a place.
     - frames_tracked, frames_untracked, keyframes, links: counts.
+    - frames_unjoined: those of the untracked that are in a part of the map that was not joined.
     - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
@@ -37,9 +41,13 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
 
 
 def _counts(result: SlamResult) -> dict[str, object]:
+    placed = zip(result.keyframes, np.isfinite(result.T_world_kf[:, 0, 0]), strict=True)
     return {
+        "sessions": 1 + len(result.session_starts_s),
+        "segments": len({each.segment for each, is_in in placed if is_in}),
         "frames_tracked": len(result.trajectory),
         "frames_untracked": len(result.untracked_s),
+        "frames_unjoined": len(result.unjoined_s),
         "keyframes": len(result.keyframes),
         "links": len(result.links),
         "warnings": list(result.warnings),

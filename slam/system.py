@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from placerec.recognizer import PlaceRecognizer, RecognizerError
 from slam import se3
+from slam.atlas import tied
 from slam.back_end import BackEnd, ClosedLoops
 from slam.config import Config
 from slam.features import FeatureExtractor
 from slam.final_map import closed_map, too_large
+from slam.frame_checks import check_frame, checked_pose
 from slam.odometry import RgbdOdometry, TrackedFrame
 from slam.preview import preview
+from slam.rides import Rides
 from slam.stage_clock import StageClock
 from slam.types import (
     Camera,
@@ -25,17 +28,7 @@ from slam.types import (
     RelativePose,
     SlamError,
     SlamResult,
-    Trajectory,
 )
-
-
-@dataclass(frozen=True)
-class _Ride:
-    """A frame rides on its keyframe: it is corrected when the keyframe is."""
-
-    timestamp_s: float
-    keyframe_id: int
-    T_kf_cam: FloatArray
 
 
 class Slam:
@@ -55,10 +48,12 @@ class Slam:
         self._extractor = FeatureExtractor(camera, self._config.features)
         self.clock = StageClock()
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
-        self._last: Keyframe | None = None
-        self._rides: list[_Ride] = []
-        self._untracked_s: list[float] = []
+        self._last: Keyframe | None = None  # of this session
+        self._added = 0
+        self._rides = Rides()
         self._last_s = -np.inf
+        self._is_new_session = False
+        self._session_starts_s: list[float] = []
         self._door = ""
 
     @property
@@ -74,18 +69,27 @@ class Slam:
             RecognizerError: the recognizer failed on the keyframe before; what was done until then
                 can be finished.
         """
-        self._check_frame(frame)
+        check_frame(frame, self._camera, self._last_s)
         self._enter("process", frame)
         with self.clock.stage("track"):
             tracked = self._odometry.track(frame)
         if isinstance(tracked, Rejection):
-            self._untracked_s.append(frame.timestamp_s)
+            self._rides.lose(frame.timestamp_s)
             return tracked
         if tracked.new_keyframe is None:
-            self._rides.append(_Ride(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam))
+            self._rides.add(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam)
         else:
             self._insert(tracked.new_keyframe, tracked.links, frame)
         return tracked
+
+    def start_session(self) -> None:
+        """Take the next frame for the first of another recording, which may begin anywhere.
+
+        Loops tell how the sessions lie to each other. The camera stays the same, and time goes on.
+        """
+        self._is_new_session = self._door != ""
+        self._last = None
+        self._odometry.start_session()
 
     def add_keyframe(self, frame: Frame, T_odom_cam: FloatArray) -> tuple[LoopAttempt, ...]:
         """Take a keyframe whose (4, 4) pose comes from elsewhere and return its loop candidates.
@@ -95,17 +99,18 @@ class Slam:
                 pose is not a rigid transform.
             RecognizerError: the recognizer failed; what was done until then can be finished.
         """
-        T_odom_cam = _checked_pose(frame.timestamp_s, T_odom_cam)
-        self._check_frame(frame)
+        T_odom_cam = checked_pose(frame.timestamp_s, T_odom_cam)
+        check_frame(frame, self._camera, self._last_s)
         self._enter("add_keyframe", frame)
         last = self._last
         keyframe = Keyframe(
-            id=last.id + 1 if last else 0,
+            id=self._added,
             timestamp_s=frame.timestamp_s,
             T_odom_cam=T_odom_cam,
             features=self._extractor.extract(frame),
             preview=preview(frame),
             turning_rad_s=_turning_rad_s(last, frame.timestamp_s, T_odom_cam) if last else 0.0,
+            segment=len(self._session_starts_s),
         )
         links: tuple[Link, ...] = ()
         if last:
@@ -113,12 +118,13 @@ class Slam:
             motion = RelativePose(T_last_cam, self._outside_information())
             links = (Link(last.id, keyframe.id, motion),)
         self._insert(keyframe, links, frame)
+        self._added += 1
         return self._back_end.settle()
 
     def _insert(self, keyframe: Keyframe, links: tuple[Link, ...], frame: Frame) -> None:
         self._back_end.insert(keyframe, links, frame.rgb)
         self._last = keyframe
-        self._rides.append(_Ride(frame.timestamp_s, keyframe.id, np.eye(4)))
+        self._rides.add(frame.timestamp_s, keyframe.id, np.eye(4))
 
     def T_world_odom(self) -> FloatArray:
         """Return the (4, 4) correction as of now: from the odometry's frame to the world.
@@ -126,11 +132,12 @@ class Slam:
         It solves the graph, which takes the longer the longer the run is, and no frame is tracked.
 
         Raises:
-            SlamError: there is no keyframe yet.
+            SlamError: there is no keyframe yet, or nothing tells where the camera is since it was
+                lost.
             RecognizerError: the recognizer failed on one of the last keyframes; what was done until
                 then can be finished.
         """
-        return self._back_end.T_world_odom()
+        return self._back_end.T_world_odom(self._rides.per_keyframe())
 
     def finish(self) -> SlamResult:
         """Solve the graph with all loops, adjust the map to it, and return what the run found out.
@@ -146,7 +153,7 @@ class Slam:
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        loops = self._back_end.solve()
+        loops = self._back_end.solve(self._rides.per_keyframe())
         T_world_kf = loops.T_world_kf
         unadjusted = too_large(len(keyframes)) if self._door == "process" else ()
         if self._door == "process":
@@ -154,27 +161,32 @@ class Slam:
             if not unadjusted:
                 with self.clock.stage("adjust"):
                     T_world_kf = self._adjusted(loops)
+        keyframes = tied(keyframes, loops.links)
+        has_place = np.isfinite(T_world_kf)
+        T_odom_kf = np.array([each.T_odom_cam for each in keyframes])
         calibration = self._back_end.calibration()
         return SlamResult(
             camera=self._camera,
             keyframes=keyframes,
             T_world_kf=T_world_kf,
-            odometry=self._trajectory(np.array([each.T_odom_cam for each in keyframes])),
-            trajectory=self._trajectory(T_world_kf),
-            links=tuple(self._back_end.links),
+            odometry=self._rides.trajectory(np.where(has_place, T_odom_kf, np.nan)),
+            trajectory=self._rides.trajectory(T_world_kf),
+            links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
             min_similarity=self._back_end.min_similarity,
-            untracked_s=np.array(self._untracked_s),
+            untracked_s=self._rides.untracked_s(T_world_kf),
             stage_seconds=dict(self.clock.seconds),
             warnings=(
                 *failures,
-                *self._tracking_warnings(),
+                *self._rides.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
                 *(calibration.warnings if calibration else ()),
             ),
             calibration=calibration,
+            unjoined_s=self._rides.unjoined_s(T_world_kf),
+            session_starts_s=np.array(self._session_starts_s),
         )
 
     def _last_failure(self) -> tuple[str, ...]:
@@ -196,25 +208,12 @@ class Slam:
         )
 
     def _adjusted(self, loops: ClosedLoops) -> FloatArray:
-        T_world_kf = loops.T_world_kf
-        final = closed_map(self._odometry.map, T_world_kf, loops.trusted_pairs())
-        return np.array([each.T_map_cam for each in final.keyframes[: len(T_world_kf)]])
-
-    def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
-        rides = [ride for ride in self._rides if ride.keyframe_id < len(T_any_kf)]
-        return Trajectory(
-            timestamps_s=np.array([ride.timestamp_s for ride in rides]),
-            T_world_cam=np.array([T_any_kf[ride.keyframe_id] @ ride.T_kf_cam for ride in rides]),
-        )
-
-    def _tracking_warnings(self) -> tuple[str, ...]:
-        if not self._untracked_s:
-            return ()
-        total = len(self._untracked_s) + len(self._rides)
-        return (
-            f"{len(self._untracked_s)} of {total} frames could not be tracked and are in no"
-            f" trajectory; the first at {self._untracked_s[0]:.3f} s",
-        )
+        T_world_kf = loops.T_world_kf.copy()
+        placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0])).tolist()
+        pairs = loops.trusted_pairs()
+        final = closed_map(self._odometry.map, placed, T_world_kf[placed], pairs)
+        T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
+        return T_world_kf
 
     def _outside_information(self) -> FloatArray:
         rotation_rad = np.radians(self._config.graph.outside_rotation_sigma_deg)
@@ -225,34 +224,9 @@ class Slam:
         if self._door not in ("", door):
             raise SlamError(f"this run goes through {self._door}; start another Slam for {door}")
         self._door, self._last_s = door, frame.timestamp_s
-
-    def _check_frame(self, frame: Frame) -> None:
-        if not frame.timestamp_s > self._last_s:
-            raise SlamError(
-                f"frames must come in the order of time: {frame.timestamp_s:.6f} s after"
-                f" {self._last_s:.6f} s"
-            )
-        wanted = (self._camera.height, self._camera.width)
-        if frame.rgb.dtype != np.uint8:
-            raise SlamError(
-                f"the frame at {frame.timestamp_s:.6f} s has {frame.rgb.dtype} colours, not uint8"
-            )
-        if frame.rgb.shape != (*wanted, 3) or frame.depth_m.shape != wanted:
-            raise SlamError(
-                f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"
-                f" {frame.depth_m.shape}, but the camera makes {(*wanted, 3)} and {wanted}"
-            )
-
-
-def _checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
-    T = np.array(T_odom_cam, dtype=np.float64)  # a copy: callers reuse their matrix
-    is_affine = T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])
-    R = T[:3, :3] if is_affine else np.zeros((3, 3))
-    if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0):
-        raise SlamError(
-            f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
-        )
-    return T
+        if self._is_new_session:
+            self._session_starts_s.append(frame.timestamp_s)
+            self._is_new_session = False
 
 
 def _turning_rad_s(last: Keyframe, timestamp_s: float, T_odom_cam: FloatArray) -> float:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The values that travel between the stages; all frozen, none with behaviour of its own."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -85,10 +85,13 @@ class Keyframe:
     Attributes:
         id: 0, 1, 2, ... in the order of time.
         timestamp_s: seconds.
-        T_odom_cam: (4, 4) camera pose in the odometry's (drifting) frame.
+        T_odom_cam: (4, 4) camera pose in the odometry's (drifting) frame, which is the segment's
+            own until the run is finished.
         features: ORB features.
         preview: the frame at half resolution, for the report and the fused point cloud.
         turning_rad_s: how fast the camera turned; a rolling shutter bends such an image.
+        segment: a number per stretch without interruption; where the camera was lost or a session
+            ended, another begins, and only loops tell how the two lie to each other.
     """
 
     id: int
@@ -97,6 +100,7 @@ class Keyframe:
     features: Features
     preview: Frame
     turning_rad_s: float = 0.0
+    segment: int = 0
 
 
 class RejectionReason(StrEnum):
@@ -110,6 +114,7 @@ class RejectionReason(StrEnum):
     NARROW_SUPPORT = "inliers cover too small a part of the image"
     UNCERTAIN_MOTION = "the motion is too uncertain: weak geometry or views taken in a fast turn"
     OUTVOTED = "contradicts the rest of the pose graph"
+    UNJOINED = "its part of the map was not joined to the rest"
 
 
 @dataclass(frozen=True)
@@ -163,7 +168,7 @@ class LoopAttempt:
 
     Attributes:
         query_id, match_id: keyframe ids; the query is the later one.
-        similarity: cosine of the two embeddings, -1 to 1.
+        similarity: of the two embeddings, -1 to 1; their cosine for most recognizers.
         verification: geometry's answer, or None where similarity already ruled the pair out.
         outcome: the measured motion of an accepted loop (reference = match), or the rejection.
         weight: the pose graph's final trust in an accepted loop, 0 (ignored) to 1; None before
@@ -210,17 +215,21 @@ class SlamResult:
     Attributes:
         camera: the camera it was run with.
         keyframes: the K keyframes in order of time.
-        T_world_kf: (K, 4, 4) their corrected poses; the world is the first keyframe's camera.
-        odometry: every tracked frame, by tracking alone (drifting).
+        T_world_kf: (K, 4, 4) their corrected poses, NaN in a part of the map that was not joined to
+            the largest; the world is the camera of the first that has a place.
+        odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
         trajectory: the same frames, corrected: each rides on its keyframe.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
-        similarities: (K, K) float32, cosine between all keyframes' embeddings, NaN on none.
+        similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
         min_similarity: the threshold from which candidates were verified.
-        untracked_s: timestamps of the frames that could not be tracked.
+        untracked_s: timestamps of the frames that are in no trajectory, because tracking lost them
+            or their part of the map was not joined.
         stage_seconds: total wall time per stage, in the order of the pipeline.
         warnings: what a user should know before trusting the result; one sentence each.
         calibration: where the recognizer's threshold comes from, None where nobody says so.
+        unjoined_s: those of the untracked frames that are in a part that was not joined.
+        session_starts_s: timestamp of the first frame of each session after the first.
     """
 
     camera: Camera
@@ -236,3 +245,5 @@ class SlamResult:
     stage_seconds: dict[str, float]
     warnings: tuple[str, ...]
     calibration: Calibration | None = None
+    unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))

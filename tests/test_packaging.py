@@ -5,6 +5,7 @@ import shutil
 import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import get_type_hints
 from zipfile import ZipFile
 
 from hatchling.builders.wheel import WheelBuilder
@@ -22,9 +23,11 @@ def test_trained_weights_their_certificate_and_their_card_come_with_the_wheel(tm
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, tmp_path)
     card = DEFAULT_WEIGHTS.with_name("README.md")
+    fitted = sorted(DEFAULT_WEIGHTS.parent.glob("*.safetensors"))
+    assert len(fitted) > 1
     data = [
         path.relative_to(DEFAULT_WEIGHTS.parents[2])
-        for path in (DEFAULT_WEIGHTS, certificate_path(DEFAULT_WEIGHTS), card)
+        for path in (*fitted, certificate_path(DEFAULT_WEIGHTS), card)
     ]
     for path in (*data, Path("slam/__init__.py"), Path("placerec/__init__.py")):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
@@ -39,4 +42,4 @@ def test_built_in_recognizers_are_named_as_those_of_others_are():
     assert set(declared) >= {"gradients", "learned"}
     for name, value in declared.items():
         recognizer = EntryPoint(name=name, value=value, group=ENTRY_POINT_GROUP).load()
-        assert callable(recognizer.embed) and "min_similarity" in recognizer.__annotations__
+        assert callable(recognizer.embed) and "min_similarity" in get_type_hints(recognizer)

@@ -18,7 +18,7 @@ def test_its_recognizer_conforms():
     found: dict[str, type] = {}
     exec(code, found)
     report = check(found["ColourLayout"]())
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_its_commands_are_what_every_change_is_checked_by():

@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.place_recognition.contenders import Contender
 from benchmarks.place_recognition.sets import EvaluationSet
+from placerec.comparison import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.evaluation import (
-    Similarities,
     best_match_curve,
     compare,
     pair_curve,

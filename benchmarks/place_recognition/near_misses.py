@@ -6,9 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks.place_recognition.tables import markdown
+from placerec.comparison import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.datasets.tum import MAX_DISTANCE, STRIDE, pose_distance, read_recording
-from placerec.evaluation import Similarities
 
 SUREST = 20
 FAR = 1.0

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from benchmarks.place_recognition.measured import Measured
 from benchmarks.place_recognition.sets import EvaluationSet
+from placerec.comparison import Similarities
 from placerec.cost import Cost
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import Similarities, best_match_curve, best_matches, pair_curve
+from placerec.evaluation import best_match_curve, best_matches, pair_curve
 from placerec.figures import (
     bars,
     dimension_comparison,

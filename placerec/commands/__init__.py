@@ -4,6 +4,7 @@
 from placerec.commands.calibrate import calibrate
 from placerec.commands.check import check
 from placerec.commands.evaluate import evaluate
+from placerec.commands.fit import fit
 from placerec.commands.train import train
 
-__all__ = ["calibrate", "check", "evaluate", "train"]
+__all__ = ["calibrate", "check", "evaluate", "fit", "train"]

@@ -1,35 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
 """`placerec check`: does a recognizer keep to the protocol?"""
 
+from collections import Counter
+from collections.abc import Iterator
+from itertools import groupby
+from math import isfinite
 from typing import Annotated
 
 import tyro
 
 from placerec.commands.data import RECOGNIZER
-from placerec.conformance import Report
-from placerec.conformance import check as check_recognizer
+from placerec.conformance import CHECKS, PLACES, SECTIONS, Examination, Finding, Verdict
 from placerec.recognizer import load
 
 DOES_NOT_CONFORM = 1
+IN_A_MAP = 10_000
+WIDTH = max(len(check.name) for check in CHECKS)
 
 
 def check(
     recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=RECOGNIZER)],
     /,
 ) -> int:
-    """Tell what a recognizer does right and wrong.
+    """Tell what a recognizer does right and wrong, what to mend, and what it costs.
 
     Args:
         recognizer: an installed name, package.module:ClassName, or trained weights.
     """
-    report = check_recognizer(load(recognizer))
-    print(_table(report))
-    return 0 if report.passed else DOES_NOT_CONFORM
+    examination = Examination(load(recognizer), recognizer)
+    print(f"{recognizer}, tried out on generated pictures of {PLACES} places", flush=True)
+    findings = []
+    for section, checks in SECTIONS.items():
+        found = [examination.find(check) for check in checks]
+        print(f"\n{section}", *_rows(found), sep="\n", flush=True)
+        findings += found
+    for line in _costs(examination):
+        print(line)
+    print(f"\n{_summary(findings)}")
+    return DOES_NOT_CONFORM if any(finding.failed for finding in findings) else 0
 
 
-def _table(report: Report) -> str:
-    width = max(len(check.name) for check in report.checks)
-    return "\n".join(
-        f"{'ok  ' if check.passed else 'FAIL'}  {check.name:<{width}}  {check.detail}"
-        for check in report.checks
-    )
+def _rows(findings: list[Finding]) -> Iterator[str]:
+    """Write findings as rows, those in a row that wait for the same to be mended as one."""
+    for (verdict, measured), group in groupby(findings, lambda one: (one.verdict, one.measured)):
+        alike = list(group)
+        if verdict is Verdict.NOT_TRIED and len(alike) > 1:
+            yield _row(verdict, f"{len(alike)} more", measured)
+            continue
+        for finding in alike:
+            yield _row(verdict, finding.check.name, measured)
+            if finding.failed:
+                yield _row("", "", f"-> {finding.check.remedy}")
+
+
+def _row(verdict: str, name: str, measured: str) -> str:
+    return f"  {verdict:<4}  {name:<{WIDTH}}  {measured}"
+
+
+def _costs(examination: Examination) -> Iterator[str]:
+    cost, own_mb = examination.cost(), examination.own_mb()
+    if cost:
+        kb = cost.embedding_bytes / 1e3
+        yield _row("", "to embed 640x480", f"{cost.embed_ms:.1f} ms")
+        yield _row("", f"to compare with {IN_A_MAP:,}", f"{cost.compare_ms * IN_A_MAP:.1f} ms")
+        yield _row("", f"to keep {IN_A_MAP:,}", f"{kb * IN_A_MAP / 1e3:,.1f} MB, {kb:.1f} kB each")
+    if isfinite(own_mb):
+        yield _row("", "to load and to work", f"{own_mb:.0f} MB, its libraries included")
+
+
+def _summary(findings: list[Finding]) -> str:
+    counts = Counter(finding.verdict for finding in findings)
+    untried = f", {counts[Verdict.NOT_TRIED]} not tried" if counts[Verdict.NOT_TRIED] else ""
+    failed = counts[Verdict.FAILED]
+    what = f"{failed} of {len(findings)} checks failed" if failed else "all checks passed"
+    return f"{what}{untried}"

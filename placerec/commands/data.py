@@ -40,7 +40,7 @@ def progress_bar(title: str, total: int, unit: str = "image") -> Iterator[Progre
 def embed_data(
     name: str, recognizer: PlaceRecognizer, dataset: PlaceDataset
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return the (N, D) embeddings of a dataset and the (N,) seconds each took, under a bar.
+    """Return the (N, *S) embeddings of a dataset and the (N,) seconds each took, under a bar.
 
     Raises:
         RecognizerError: the recognizer fails, or an image can no longer be read.

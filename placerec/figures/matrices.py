@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
+from placerec.comparison import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import Similarities
 from placerec.figures.canvas import GRID, SOFT, canvas
 
 MAX_CELLS = 400

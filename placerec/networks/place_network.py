@@ -76,6 +76,12 @@ class PlaceNetwork(nn.Module):
             )
 
     @property
+    def title(self) -> str:
+        """Which layers of which trunk these are, and the size they look at images in."""
+        size = f"{self.preprocessing.width_px}x{self.preprocessing.height_px} px"
+        return " ".join(filter(None, (self.trunk.name, self.block, f"at {size}")))
+
+    @property
     def dimension(self) -> int:
         """How many values an embedding has."""
         return self.fully_connected.out_features

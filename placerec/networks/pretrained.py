@@ -4,6 +4,7 @@
 import hashlib
 import http.client
 import io
+import os
 import re
 import urllib.request
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
+from placerec.networks.caffemodel import read_caffemodel
 from placerec.networks.place_network import PlaceNetwork
 from placerec.networks.trunk import Trunk
 from placerec.output_file import write_atomically
@@ -22,14 +24,16 @@ from placerec.user_cache import cache_folder
 
 TIMEOUT_S = 30.0
 OURS = ".safetensors"
+FOLDER_VARIABLE = "LOOPCLOSE_WEIGHTS"
+SUFFIXES = frozenset({".pth", ".npz", ".caffemodel"})
 
 
 def load_pretrained(network: PlaceNetwork, path: Path) -> None:
     """Give a network's trunk the weights of a file.
 
-    The file is a torchvision state dict (.pth), an archive of arrays (.npz), or what an earlier
-    training wrote (.safetensors); what it holds beyond the trunk's layers, such as the original
-    fully connected ones, is left out.
+    The file is a torchvision state dict (.pth), an archive of arrays (.npz), what Caffe wrote
+    (.caffemodel), or what an earlier training wrote (.safetensors); what it holds beyond the
+    trunk's layers, such as the original fully connected ones, is left out.
 
     Raises:
         RecognizerError: the file cannot be read, would run code, or is another network's.
@@ -50,6 +54,26 @@ def load_pretrained(network: PlaceNetwork, path: Path) -> None:
             )
         state[parameter] = found.to(value.dtype)
     network.features.load_state_dict(state)
+
+
+def find_pretrained(name: str) -> Path | None:
+    """Return the file of published weights whose name begins so, whatever its capitals, if any.
+
+    It is looked for in the folder that $LOOPCLOSE_WEIGHTS names, if it does, then in that of
+    `download_pretrained`, and in the folders in these.
+    """
+    for folder in weights_folders():
+        for path in sorted((*folder.glob("*"), *folder.glob("*/*"))):
+            if path.name.lower().startswith(name.lower()) and path.suffix in SUFFIXES:
+                return path
+    return None
+
+
+def weights_folders() -> tuple[Path, ...]:
+    """Return where published weights are looked for, the user's own folder last."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    own = cache_folder() / "weights"
+    return (Path(named), own) if named else (own,)
 
 
 def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | None = None) -> Path:
@@ -93,6 +117,9 @@ def _read(path: Path) -> Mapping[str, Tensor]:
         if path.suffix == ".npz":
             with np.load(content, allow_pickle=False) as archive:
                 return {name: torch.from_numpy(archive[name]) for name in archive.files}
+        if path.suffix == ".caffemodel":
+            arrays = read_caffemodel(content.getvalue())
+            return {name: torch.from_numpy(array) for name, array in arrays.items()}
         if path.suffix == OURS:
             return safetensors.torch.load(content.getvalue())
         loaded = torch.load(content, map_location="cpu", weights_only=True)

@@ -21,12 +21,14 @@ class Published:
 
     Attributes:
         method: its name there.
+        recognizers: what it is called here, without regard to hyphens and capitals.
         embed_ms: to extract the features of a pair of images.
         compare_ms: to compare a pair.
         values: numbers in a feature vector.
     """
 
     method: str
+    recognizers: tuple[str, ...]
     embed_ms: float | None
     compare_ms: float | None
     values: int | None
@@ -43,20 +45,28 @@ class Published:
 
 
 PAPER = (
-    Published("AlexNet, 4096 values", 22.0, 0.0189, 4096),
-    Published("AlexNet or VGG16, 1000 values", None, None, 1000),
-    Published("R-MAC", R_MAC_EMBED_MS, None, R_MAC_VALUES),
-    Published("NetVLAD", None, None, 4096),
-    Published("AMOSNet, HybridNet", None, None, 256 * 13 * 13),
+    Published("AlexNet, 4096 values", ("learned",), 22.0, 0.0189, 4096),
+    Published("AlexNet or VGG16, 1000 values", (), None, None, 1000),
+    Published("R-MAC", (R_MAC,), R_MAC_EMBED_MS, None, R_MAC_VALUES),
+    Published("NetVLAD", ("netvlad",), None, None, 4096),
+    Published("AMOSNet, HybridNet", ("amosnet", "hybridnet"), None, None, 256 * 13 * 13),
 )
 
 
 @dataclass(frozen=True)
 class CostRow:
-    """A recognizer's cost, and how many times R-MAC's that is, where R-MAC was measured too."""
+    """A recognizer's cost beside the paper's.
+
+    Attributes:
+        measured: the recognizer.
+        ratios: how many times R-MAC's cost that is: time to embed, to compare, size; None where
+            R-MAC was not measured.
+        published: the same method in the paper, None where it is not there.
+    """
 
     measured: Measured
     ratios: tuple[float, float, float] | None
+    published: Published | None
 
 
 def cost_rows(rows: Sequence[Measured]) -> list[CostRow]:
@@ -64,9 +74,12 @@ def cost_rows(rows: Sequence[Measured]) -> list[CostRow]:
     first: dict[str, Measured] = {}
     for row in rows:
         first.setdefault(row.recognizer, row)
-    plain = {name.replace("-", "").lower(): row for name, row in first.items()}
-    yardstick = plain.get(R_MAC)
-    return [CostRow(row, _ratios(row, yardstick)) for row in first.values()]
+    yardstick = next((row for name, row in first.items() if _plain(name) == R_MAC), None)
+    published = {name: method for method in PAPER for name in method.recognizers}
+    return [
+        CostRow(row, _ratios(row, yardstick), published.get(_plain(name)))
+        for name, row in first.items()
+    ]
 
 
 def cost_drawings(rows: Sequence[CostRow]) -> list[Drawing]:
@@ -93,6 +106,10 @@ def cost_drawings(rows: Sequence[CostRow]) -> list[Drawing]:
         drawing(svg(bars(measured, label, paper)), f"Bars: {label}")
         for label, measured, paper in quantities
     ]
+
+
+def _plain(name: str) -> str:
+    return name.replace("-", "").lower()
 
 
 def _ratios(row: Measured, yardstick: Measured | None) -> tuple[float, float, float] | None:

@@ -5,5 +5,6 @@ from slam.datasets.cameras import read_camera, write_camera
 from slam.datasets.download import resolve
 from slam.datasets.formats import open_sequence
 from slam.datasets.sequence import Sequence
+from slam.datasets.sessions import Sessions
 
-__all__ = ["Sequence", "open_sequence", "read_camera", "resolve", "write_camera"]
+__all__ = ["Sequence", "Sessions", "open_sequence", "read_camera", "resolve", "write_camera"]

@@ -34,13 +34,14 @@ def write_g2o(path: Path, T_world_kf: FloatArray, motions: Iterable[Link]) -> No
 
     Args:
         path: the file; an existing one is replaced.
-        T_world_kf: (K, 4, 4), metres; the row is the keyframe's id.
+        T_world_kf: (K, 4, 4), metres; the row is the keyframe's id, NaN where it is left out.
         motions: links, and the loops that hold as links too.
 
     Raises:
         SlamError: the file cannot be written.
     """
-    lines = [f"VERTEX_SE3:QUAT {i} {_pose_text(T)}" for i, T in enumerate(T_world_kf)]
+    known = np.flatnonzero(np.isfinite(T_world_kf).all(axis=(1, 2)))
+    lines = [f"VERTEX_SE3:QUAT {i} {_pose_text(T_world_kf[i])}" for i in known]
     lines += [_edge_text(each) for each in motions]
     write_atomically(path, "\n".join(lines) + "\n")
 

@@ -51,6 +51,7 @@ _MARGINS: dict[RejectionReason, Callable[[float, float], str]] = {
     RejectionReason.NARROW_SUPPORT: _share("of the image covered by inliers"),
     RejectionReason.UNCERTAIN_MOTION: _uncertainty,
     RejectionReason.OUTVOTED: _weight,
+    RejectionReason.UNJOINED: _count("loops that agree where its part of the map lies"),
 }
 
 

@@ -89,6 +89,7 @@ def render(
     environment.filters["percent"] = percent
     chosen = choose(loops)
     paths = gather(result, drift, truth)
+    environment.filters["elapsed"] = lambda time_s: float(paths.elapsed_s(np.array(time_s)))
     return environment.get_template("page.html").render(
         title=title,
         result=result,

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from slam.drift import DriftReport
 from slam.report.canvas import AFTER, BEFORE, INK, LOST, TRUTH, WIDTH_IN, WRONG, draw
 from slam.report.decision import ACCEPTED, FALSE, Decision
-from slam.report.paths import Paths, broken
+from slam.report.paths import SESSION_GAP_S, Paths, broken
 from slam.types import FloatArray, SlamResult
 
 _LOOP_COLOURS = {ACCEPTED: AFTER, FALSE: WRONG}
@@ -64,7 +64,8 @@ def _draw_loops(axes: Axes, paths: Paths, loops: list[Decision], plane: tuple[in
 def _mark_start_and_losses(axes: Axes, paths: Paths, plane: tuple[int, int]) -> None:
     if len(paths.after_m) == 0:
         return
-    axes.plot(*paths.after_m[0, plane], "o", color=INK, ms=5, label="start")
+    starts = paths.after_m[paths.session_starts][:, plane].T
+    axes.plot(*starts, "o", color=INK, ms=5, label="start" if len(starts[0]) == 1 else "starts")
     if len(paths.lost_s):
         last = np.unique((np.searchsorted(paths.times_s, paths.lost_s) - 1).clip(0))
         spots = paths.after_m[last][:, plane].T
@@ -79,7 +80,7 @@ def error_over_time(paths: Paths, drift: DriftReport, loops: list[Decision]) -> 
             (drift.before, BEFORE, "odometry"),
             (drift.after, AFTER, "corrected"),
         ):
-            times, errors = broken(error.timestamps_s - paths.start_s, error.position_errors_m)
+            times, errors = broken(paths.elapsed_s(error.timestamps_s), error.position_errors_m)
             axes.plot(times, 100 * errors, color=colour, lw=1.4, label=label)
         axes.set_ylabel("position error (cm)")
         _mark_times(axes, paths, loops)
@@ -105,7 +106,10 @@ def correction_over_time(paths: Paths, result: SlamResult, loops: list[Decision]
 
 def _mark_times(axes: Axes, paths: Paths, loops: list[Decision]) -> None:
     """Mark untracked frames, and put a tick at every keyframe that closed a loop."""
-    axes.set_xlabel("time (s)")
+    later_starts = paths.elapsed_s(paths.session_starts_s)[1:]
+    axes.set_xlabel("time (s), without the breaks" if len(later_starts) else "time (s)")
+    for start in later_starts:
+        axes.axvline(start - 0.5 * SESSION_GAP_S, color=INK, lw=0.8, ls=":")
     axes.tick_params("x", pad=9)  # room for the triangles
     axes.set_ylim(bottom=0)
     if len(paths.lost_s):
@@ -115,8 +119,8 @@ def _mark_times(axes: Axes, paths: Paths, loops: list[Decision]) -> None:
             paths.lost_s, low, low + 1, color=LOST, lw=1.2, transform=edge, label="not tracked"
         )
     for kind, colour in _LOOP_COLOURS.items():
-        closed = [loop.query.timestamp_s - paths.start_s for loop in loops if loop.kind == kind]
+        closed = [loop.query.timestamp_s for loop in loops if loop.kind == kind]
         if closed:
-            times = np.unique(closed)
+            times = np.unique(paths.elapsed_s(np.array(closed)))
             marks = axes.plot(times, 0 * times - 0.035, "^", color=colour, ms=5, clip_on=False)
             marks[0].set(transform=axes.get_xaxis_transform(), label=f"{kind} loop")

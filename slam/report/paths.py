@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.drift import DriftReport
 from slam.types import FloatArray, SlamResult, Trajectory
@@ -12,17 +13,22 @@ GAP_FACTOR = 5.0
 """Frames further apart than this many median intervals are not joined by a line."""
 
 
+SESSION_GAP_S = 1.0
+"""What the time axis shows of the break between two sessions."""
+
+
 @dataclass(frozen=True)
 class Paths:
     """Positions before and after loop closure and in truth, metres, in one frame.
 
     Attributes:
-        times_s: (N,) seconds since the first frame; before_m, after_m: (N, 3).
+        times_s: (N,) elapsed; before_m, after_m: (N, 3).
         keyframes_m: (K, 3) corrected; keyframe_times_s: (K,).
-        truth_m: (M, 3), empty without ground truth; truth_times_s: (M,).
+        truth_m: (M, 3), empty without ground truth; truth_times_s: (M,) with the breaks left in.
         keyframe_truth_m: (K, 3), NaN where ground truth has no pose in time.
         lost_s: (L,) when frames could not be tracked.
-        start_s: timestamp of the first frame.
+        session_starts_s: (S,) timestamp of the first frame of each session.
+        breaks_s: (S,) what is left out before each session so that they follow one another.
         in_truth_frame: whether the frame is ground truth's, not the first keyframe's camera.
     """
 
@@ -35,8 +41,19 @@ class Paths:
     truth_times_s: FloatArray
     keyframe_truth_m: FloatArray
     lost_s: FloatArray
-    start_s: float
+    session_starts_s: FloatArray
+    breaks_s: FloatArray
     in_truth_frame: bool
+
+    def elapsed_s(self, timestamps_s: FloatArray) -> FloatArray:
+        """Return (N,) seconds since the first frame, without the breaks between sessions."""
+        return _elapsed_s(timestamps_s, self.session_starts_s, self.breaks_s)
+
+    @property
+    def session_starts(self) -> NDArray[np.int64]:
+        """(S,) the first placed frame of each session."""
+        starts = np.searchsorted(self.times_s, self.elapsed_s(self.session_starts_s))
+        return starts[starts < len(self.times_s)]
 
     @property
     def has_keyframe_truth(self) -> bool:
@@ -59,22 +76,36 @@ def gather(result: SlamResult, drift: DriftReport | None, truth: Trajectory | No
         truth = Trajectory(np.empty(0), np.empty((0, 4, 4)))
     keyframe_times = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     times = result.trajectory.timestamps_s
-    start = float(min(t[0] for t in (times, keyframe_times, result.untracked_s) if len(t)))
+    frames = np.unique(np.concatenate([times, keyframe_times, result.untracked_s]))
+    starts, breaks = _sessions(frames, result.session_starts_s)
     tolerance = drift.tolerance_s if drift is not None else 0.0
-    inside = _overlap(truth, times)
+    inside = _within(truth.timestamps_s, times, starts)
     return Paths(
-        times_s=times - start,
+        times_s=_elapsed_s(times, starts, breaks),
         before_m=_positions(to_truth_before, result.odometry.T_world_cam),
         after_m=_positions(to_truth_after, result.trajectory.T_world_cam),
         keyframes_m=_positions(to_truth_after, result.T_world_kf),
-        keyframe_times_s=keyframe_times - start,
+        keyframe_times_s=_elapsed_s(keyframe_times, starts, breaks),
         truth_m=truth.T_world_cam[inside, :3, 3],
-        truth_times_s=truth.timestamps_s[inside] - start,
+        truth_times_s=truth.timestamps_s[inside] - starts[0],
         keyframe_truth_m=positions_at(truth, keyframe_times, tolerance),
-        lost_s=result.untracked_s - start,
-        start_s=start,
+        lost_s=_elapsed_s(result.untracked_s, starts, breaks),
+        session_starts_s=starts,
+        breaks_s=breaks,
         in_truth_frame=drift is not None,
     )
+
+
+def _sessions(times_s: FloatArray, later_starts_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return when all sessions start, and what to leave out before each of them."""
+    ends_s = times_s[np.searchsorted(times_s, later_starts_s) - 1]
+    breaks_s = np.maximum(later_starts_s - ends_s - SESSION_GAP_S, 0.0)
+    return np.append(times_s[0], later_starts_s), np.append(0.0, breaks_s)
+
+
+def _elapsed_s(times_s: FloatArray, starts_s: FloatArray, breaks_s: FloatArray) -> FloatArray:
+    session = np.maximum(np.searchsorted(starts_s, times_s, side="right") - 1, 0)
+    return np.asarray(times_s - starts_s[0] - np.cumsum(breaks_s)[session])
 
 
 def positions_at(trajectory: Trajectory, times_s: FloatArray, tolerance_s: float) -> FloatArray:
@@ -101,12 +132,13 @@ def broken(times_s: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
     return tuple(np.insert(array, cuts, np.nan, axis=0) for array in (times_s, *values))
 
 
-def _overlap(truth: Trajectory, times_s: FloatArray) -> slice:
-    """Return the part of the truth that lies within the run's time span."""
-    if len(truth) == 0 or len(times_s) == 0:
-        return slice(0, 0)
-    first, last = np.searchsorted(truth.timestamps_s, (times_s[0], times_s[-1] + 1e-9))
-    return slice(int(first), int(last))
+def _within(truth_s: FloatArray, times_s: FloatArray, starts_s: FloatArray) -> NDArray[np.bool_]:
+    """Return (M,) bool, the true poses from the first to the last frame of a session."""
+    inside = np.zeros(len(truth_s), dtype=bool)
+    for part_s in np.split(times_s, np.searchsorted(times_s, starts_s[1:])):
+        if len(part_s):
+            inside |= (truth_s >= part_s[0]) & (truth_s <= part_s[-1] + 1e-9)
+    return inside
 
 
 def _positions(T_truth_world: FloatArray, T_world_cam: FloatArray) -> FloatArray:

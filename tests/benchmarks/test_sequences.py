@@ -61,6 +61,21 @@ def test_a_folder_is_run_and_what_is_missing_or_fails_is_left_out(benchmark, tmp
     assert err.splitlines()[1] == "left out, not on this machine: fr9_nowhere"
 
 
+def test_names_joined_by_a_plus_are_run_as_one_map(benchmark, tmp_path, monkeypatch, run):
+    asked = []
+
+    def measure(name, sequences, recognizer, runs):
+        asked.append((name, sequences))
+        return benchmark.Measured(name, [run(4.0)])
+
+    monkeypatch.setattr(benchmark, "measure", measure)
+    for name in ("one", "two", "a+b"):
+        (tmp_path / name).mkdir()
+    one, two, odd = (str(tmp_path / name) for name in ("one", "two", "a+b"))
+    assert benchmark.main([f"{one}+{two}", odd, f"{one}+fr9_nowhere"]) == 0
+    assert asked == [("one+two", [one, two]), ("a+b", [odd])]
+
+
 def test_nothing_to_measure_is_an_error(benchmark, capsys):
     assert benchmark.main(["fr9_nowhere"]) == 1
     assert capsys.readouterr().out == ""

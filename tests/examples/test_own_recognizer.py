@@ -1,25 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The example passes the conformance kit, by both of its doors."""
+
+import os
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
-from placerec.conformance import check
-from placerec.recognizer import available, load
+import pytest
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "own_recognizer"
+from placerec.cli import main
+from placerec.recognizer import available
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "own_recognizer"
 
 
-def test_installed_example_is_found_by_name_and_conforms(tmp_path, monkeypatch):
-    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
-    # What `pip install` would leave behind, without the network that a build needs.
-    installed = tmp_path / f"{project['name']}-{project['version']}.dist-info"
-    installed.mkdir()
-    (installed / "METADATA").write_text(f"Name: {project['name']}\nVersion: 0.1.0\n")
-    entries = project["entry-points"]["placerec.recognizers"]
-    lines = ["[placerec.recognizers]", *(f"{name} = {path}" for name, path in entries.items())]
-    (installed / "entry_points.txt").write_text("\n".join(lines))
+@pytest.fixture(autouse=True)
+def installed(tmp_path, monkeypatch):
+    """Leave behind what `pip install` would, without the network that a build needs."""
+    for source in (EXAMPLE, ROOT):
+        project = tomllib.loads((source / "pyproject.toml").read_text())["project"]
+        about = tmp_path / f"{project['name']}-{project['version']}.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Name: {project['name']}\nVersion: 0.1.0\n")
+        with (about / "entry_points.txt").open("w") as file:
+            for group, entries in project["entry-points"].items():
+                lines = (f"{name} = {value}" for name, value in entries.items())
+                print(f"[{group}]", *lines, sep="\n", file=file)
     monkeypatch.setattr(sys, "path", [str(tmp_path), str(EXAMPLE), *sys.path])
 
+
+def test_it_is_found_by_its_name():
     assert "colours" in available()
-    report = check(load("colours"))
-    assert report.passed, report
+
+
+def test_placerec_check(capsys):
+    assert main(["check", "colours"]) == 0
+    assert capsys.readouterr().out.endswith("\nall checks passed\n")
+
+
+def test_pytest_pyargs(tmp_path):
+    what = ["--pyargs", "placerec.conformance", "--recognizer", "colours"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:dash", *what],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+    assert " passed in " in done.stdout
+    assert "skipped" not in done.stdout

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,6 +16,9 @@ from placerec.cost import Cost
 from placerec.datasets import PlaceDataset
 from placerec.evaluation import BestMatches, Curve, Evaluation
 from placerec.measurement import Measured
+
+if TYPE_CHECKING:
+    import torch
 
 DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -43,6 +47,40 @@ def write_image() -> Callable[..., Path]:
         shape = (12, 16) if channels == 1 else (12, 16, channels)
         image = np.random.default_rng(seed).integers(0, 256, shape, np.uint8)
         assert cv2.imwrite(str(path), image)
+        return path
+
+    return write
+
+
+def _varint(number: int) -> bytes:
+    low, rest = number & 0x7F, number >> 7
+    return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
+
+
+def _chunk(field: int, content: bytes) -> bytes:
+    return _varint(field << 3 | 2) + _varint(len(content)) + content
+
+
+@pytest.fixture(scope="session")
+def write_caffemodel() -> Callable[..., Path]:
+    """Return what writes the convolutions of layers as Caffe does, now or (old) before 2015."""
+
+    def blob(values: np.ndarray, old: bool) -> bytes:
+        if old:
+            shape = (1,) * (4 - values.ndim) + values.shape
+            dims = b"".join(_varint(f << 3) + _varint(n) for f, n in enumerate(shape, 1))
+            return dims + b"".join(_varint(5 << 3 | 5) + value.tobytes() for value in values.flat)
+        dims = _chunk(7, _chunk(1, b"".join(map(_varint, values.shape))))
+        return _chunk(5, values.astype("<f4").tobytes()) + dims
+
+    def write(path: Path, layers: "torch.nn.Sequential", old: bool = False) -> Path:
+        of_net, of_name, of_blobs = (2, 4, 6) if old else (100, 1, 7)
+        content = _chunk(1, b"a net") + _varint(3 << 3 | 1) + bytes(8)  # a field to be skipped
+        for name, layer in layers.named_children():
+            parameters = [value.detach().numpy() for value in layer.parameters()]
+            blobs = b"".join(_chunk(of_blobs, blob(values, old)) for values in parameters)
+            content += _chunk(of_net, _chunk(of_name, name.encode()) + _varint(80) + b"\1" + blobs)
+        path.write_bytes(content)
         return path
 
     return write

@@ -48,6 +48,19 @@ def pairs_of(dataset, embeddings):
     return similarities, dataset.same_place[dataset.pairs]
 
 
+class Halves(GradientRecognizer):
+    """Calls everything half as similar as its cosine says."""
+
+    def compare(self, queries, references):
+        return queries @ references.T / 2
+
+
+def test_similarities_are_those_of_the_recognizer(certificate, dataset, embeddings):
+    halved = calibrate("halves", Halves(), dataset, embeddings)
+    assert halved.threshold == pytest.approx(certificate.threshold / 2)
+    assert halved.min_similarity == pytest.approx(certificate.min_similarity / 2)
+
+
 def test_threshold_is_free_of_errors_and_no_lower_one_recalls_more(
     certificate, dataset, embeddings
 ):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
+import re
 from importlib import import_module
 
 import pytest
@@ -11,8 +12,10 @@ from placerec.cli import main
 def test_check_prints_a_table_and_passes(capsys):
     assert main(["check", "placerec.gradients:GradientRecognizer"]) == 0
     out = capsys.readouterr().out
-    assert "ok    shape (D,)" in out
-    assert "FAIL" not in out
+    assert "\n  ok    one shape                   (496,)\n" in out
+    assert re.search(r"\n {8}to embed 640x480            \d+\.\d ms\n", out)
+    assert "\n        to keep 10,000              19.8 MB, 2.0 kB each\n" in out
+    assert out.endswith("\nall checks passed\n")
 
 
 def test_check_of_a_class_in_the_current_folder_that_does_not_conform(
@@ -23,7 +26,12 @@ def test_check_of_a_class_in_the_current_folder_that_does_not_conform(
     )
     monkeypatch.chdir(tmp_path)
     assert main(["check", "draft_recognizer:Draft"]) == 1
-    assert "FAIL  shape (D,)" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "\n  FAIL  one shape                   (480, 640, 3)\n" in out
+    assert "\n                                    -> return (D,) for every image: " in out
+    assert "\n  --    3 more                      first mend 'one shape'\n" in out
+    assert "to embed" not in out
+    assert out.endswith("\n2 of 22 checks failed, 15 not tried\n")
 
 
 def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):

@@ -35,11 +35,21 @@ def recognizer(tmp_path_factory):
 
 def test_conforms(recognizer):
     report = check(recognizer)
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_threshold_comes_with_the_weights(recognizer):
     assert recognizer.min_similarity == 0.4
+
+
+def test_it_says_which_weights_it_runs_on(recognizer):
+    assert recognizer.weights == (
+        "mobilenet_v2 block3 at 96x72 px, trained as in the paper: w.safetensors"
+    )
+    assert recognizer.trained_on == ()
+    default = LearnedRecognizer()
+    assert default.weights.endswith("trained as in the paper: those of the package")
+    assert default.trained_on == ("ie_tower:train",)
 
 
 def test_images_of_any_kind(recognizer):

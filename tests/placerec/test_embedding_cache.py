@@ -38,6 +38,14 @@ def test_what_was_kept_is_found_again_with_its_time_and_day(tmp_path, image):
     assert kept.made_on is None
 
 
+def test_arrays_of_any_shape_are_kept(tmp_path, image):
+    regions = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    EmbeddingCache(Marked(), tmp_path).keep(image, regions, 0.25)
+    kept = EmbeddingCache(Marked(), tmp_path).find(image).vector
+    assert kept.dtype == np.float32
+    assert np.array_equal(kept, regions)
+
+
 def test_what_an_earlier_run_made_tells_its_day(tmp_path, image, later_run):
     EmbeddingCache(Marked(), tmp_path).keep(image, VECTOR, 0.25)
     later_run()

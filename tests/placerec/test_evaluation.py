@@ -207,9 +207,28 @@ def test_perfect_embeddings_score_one_and_equal_ones_what_chance_does():
 def test_equal_pairs_of_embeddings_tie_exactly():
     rng = np.random.default_rng(0)
     two = rng.normal(size=(2, 513)).astype(np.float32)
-    embeddings = two[np.arange(131) % 2]
+    embeddings = (two / np.linalg.norm(two, axis=1, keepdims=True))[np.arange(131) % 2]
     truth = one_drive(np.eye(131), np.ones((131, 131)))
     assert len(np.unique(compare(embeddings, truth))) == 3
+
+
+class FirstValue:
+    """The difference of the first value in the first row: embeddings that are no vectors."""
+
+    looks_back = 0
+
+    def compare(self, queries, references):
+        assert queries.shape[1:] == references.shape[1:] == (2, 3)
+        return 1 - abs(queries[:, None, 0, 0] - references[None, :, 0, 0])
+
+
+def test_embeddings_are_compared_as_their_recognizer_does_in_the_order_of_the_dataset():
+    embeddings = np.zeros((5, 2, 3), np.float32)
+    embeddings[:, 0, 0] = [0.0, 0.5, 0.1, 0.4, 0.8]
+    truth = two_drives(np.eye(2, 3))
+    found = evaluate(truth, embeddings, FirstValue())
+    assert found.similarities == pytest.approx(np.array([[0.9, 0.6, 0.2], [0.6, 0.9, 0.7]]))
+    assert found.recall_at_1 == 1.0
 
 
 @pytest.mark.parametrize(

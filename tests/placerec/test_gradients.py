@@ -17,7 +17,7 @@ DATA = Path(os.environ.get("LOOPCLOSE_DATA", ROOT / "../shared/data"))
 
 def test_conforms():
     report = check(GradientRecognizer())
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_image_without_any_texture_has_an_embedding():

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placerec.comparison import COSINES
 from placerec.index import PlaceIndex
 from placerec.recognizer import RecognizerError
 
@@ -71,10 +72,53 @@ def test_similarities_are_all_cosines():
 
 def test_another_size_is_refused():
     index = PlaceIndex()
-    with pytest.raises(RecognizerError, match=r"shape \(1, 2\)"):
-        index.add(np.ones((1, 2), np.float32))
+    for nothing in (np.float32(1.0), np.ones((2, 0), np.float32)):
+        with pytest.raises(RecognizerError, match=r"an embedding has shape \(.*\), not \(D,\)"):
+            index.add(nothing)
     index.add(np.float32([1.0, 0.0]))
     with pytest.raises(RecognizerError, match=r"\(3,\).*\(2,\)"):
         index.add(np.float32([1.0, 0.0, 0.0]))
     with pytest.raises(RecognizerError, match=r"\(3,\).*\(2,\)"):
         index.query(np.float32([1.0, 0.0, 0.0]), 1)
+
+
+class Sequences:
+    """Compares the (2, 2) embeddings of three queries in a row with the reference's and before."""
+
+    looks_back = 2
+
+    def __init__(self):
+        self.asked = []
+
+    def compare(self, queries, references):
+        self.asked.append((queries[:, 0, 0].tolist(), references[:, 0, 0].tolist()))
+        single = COSINES.compare(queries[:, 1], references[:, 1])
+        sums = np.zeros_like(single)
+        for back in range(3):
+            sums[back:, back:] += single[: len(single) - back, : single.shape[1] - back] / 3
+        return sums
+
+
+def test_a_recognizer_that_compares_sequences_is_shown_the_recent_past():
+    sequences = Sequences()
+    index = PlaceIndex(sequences)
+    way = [0, 1, 2, 3, 2, 1, 0, 1, 2]  # there, back, and there again: places, as directions
+    for number, place in enumerate(way):
+        view = np.float32([[number, 0], [np.cos(place), np.sin(place)]])
+        ids, similarities = index.query(view, 1, limit=number - 2)
+        if number > 2:
+            assert sequences.asked[-1] == ([number - 2, number - 1, number], [*range(number - 2)])
+        index.add(view)
+    assert ids.tolist() == [2]  # not 4, the same place on the way back
+    assert similarities == pytest.approx([1.0])
+    similarities = index.similarities()
+    assert sequences.asked[-1] == ([*range(9)], [*range(9)])
+    assert similarities[8, [2, 8]] == pytest.approx([1.0, 1.0])
+
+
+def test_without_a_past_the_first_query_stands_alone():
+    sequences = Sequences()
+    index = PlaceIndex(sequences)
+    index.add(np.ones((2, 2), np.float32))
+    index.query(np.zeros((2, 2), np.float32), 1)
+    assert sequences.asked == [([1.0, 0.0], [1.0])]

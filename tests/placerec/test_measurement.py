@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placerec import cost
 from placerec.datasets import open_dataset
 from placerec.measurement import Failed, Measured, measure
 
@@ -48,6 +49,38 @@ def test_what_is_measured(dataset):
     assert found.intervals.average_precision == (1.0, 1.0)
     assert found.cost.dimension == 12 * 16 * 3
     assert found.timed_on is None
+
+
+class Compares(Kept):
+    """The image as it is, compared by its mean difference."""
+
+    fingerprint = "compares"
+
+    def __init__(self, answer=None):
+        self.answer = answer
+
+    def embed(self, image):
+        return image.astype(np.float32)
+
+    def compare(self, queries, references):
+        if self.answer is not None:
+            return self.answer
+        return 1 - abs(queries[:, None] - references[None]).mean(axis=(2, 3, 4)) / 255
+
+
+def test_a_recognizer_that_compares_itself_is_measured_by_that_and_kept(dataset, monkeypatch):
+    monkeypatch.setattr(cost, "BATCH", 50)
+    for found in (measure("mine", Compares(), dataset) for _ in range(2)):
+        assert found.evaluation.pair_curve.area == 1.0
+        assert found.evaluation.similarities.diagonal() == pytest.approx(np.ones(6))
+        assert 0.4 < found.evaluation.similarities.min() < 0.9
+        assert (found.cost.dimension, found.cost.embedding_bytes) == (576, 2304)
+
+
+def test_a_compare_that_misbehaves_is_the_answer(dataset):
+    found = measure("mine", Compares(np.zeros(3)), dataset)
+    assert isinstance(found, Failed)
+    assert found.why.startswith("recognizer 'mine' returned similarities of shape (3,)")
 
 
 def test_only_a_recognizer_with_a_fingerprint_is_kept_and_only_if_wished(

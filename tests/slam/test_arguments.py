@@ -26,9 +26,17 @@ def refuse(arguments, capsys):
 
 def test_a_sequence_is_all_that_is_needed():
     arguments = parse(["fr1_desk"])
-    assert arguments.sequence == "fr1_desk"
+    assert arguments.sequences == ("fr1_desk",) and arguments.title == "fr1_desk"
     assert arguments.out is None and arguments.config is None
     assert arguments.settings == Config()
+
+
+def test_several_sequences_are_one_run(tmp_path):
+    arguments = parse(["fr1_xyz", str(tmp_path / "later"), "--map.write", "False"])
+    assert arguments.sequences == ("fr1_xyz", str(tmp_path / "later"))
+    assert arguments.title == "fr1_xyz+later"
+    for words in (["--out", "here", "a", "b", "c"], ["a", "--out", "here", "b", "c"]):
+        assert parse(words).sequences == ("a", "b", "c")
 
 
 def test_the_sequence_may_come_last():
@@ -114,7 +122,6 @@ def test_a_settings_file_that_is_not_there_is_one_line(tmp_path):
         (["--map.voxel-m", "1e-9"], ["voxel_m", "greater than or equal to 0.0001"]),
         (["--verification.min-inlers", "3"], ["--verification.min-inliers"]),
         (["--config"], ["--config"]),
-        (["one-more"], ["one-more"]),
     ],
 )
 def test_a_bad_flag_is_refused_by_name(capsys, flags, told):

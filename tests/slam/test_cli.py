@@ -202,6 +202,48 @@ def test_help_is_quick_because_it_loads_nothing_heavy(tmp_path):
         assert f"'{heavy}'" not in done.stderr
 
 
+# Several sequences
+
+
+def later(folder, seconds):
+    """Move a recording in time."""
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        split = [line.split(" ", 1) for line in (folder / name).read_text().splitlines()]
+        lines = [f"{float(time_s) + seconds:.6f} {rest}\n" for time_s, rest in split]
+        (folder / name).write_text("".join(lines))
+    return folder
+
+
+def test_two_recordings_make_one_map(run_slam, short_recording):
+    first, second = short_recording(10, name="first"), later(short_recording(12, "second"), 60.0)
+    ran = run_slam(first, second)
+    assert ran.code == 0 and "22 of 22 tracked" in ran.frames
+    assert names(ran.folder) == OUTPUTS
+    times_s = read_tum(ran.folder / "trajectory.txt").timestamps_s
+    assert len(times_s) == 22 and times_s[10] - times_s[9] > 50.0
+    assert len(read_tum(ran.folder / "groundtruth.txt")) == 120  # 60 of each
+    summary = json.loads((ran.folder / "summary.json").read_text())
+    assert (summary["sessions"], summary["segments"]) == (2, 2)
+    assert summary["ate_after_m"] < 0.02 and summary["truth_coverage"] > 0.9
+    assert f"run_slam {first} {second} --rec" in (ran.folder / "settings.toml").read_text()
+    assert "<h1>first+second</h1>" in (ran.folder / "report.html").read_text()
+    assert any("one frame of reference" in warning for warning in ran.warnings)
+
+
+def test_recordings_in_the_wrong_order_are_refused(run_slam, short_recording):
+    first, second = short_recording(4, name="first"), later(short_recording(4, "second"), 60.0)
+    ran = run_slam(second, first)
+    assert "put first, which ends at" in ran.complaint
+    assert not ran.folder.exists()
+
+
+@pytest.mark.usefixtures("run_slam")  # for its empty folder
+def test_without_out_several_recordings_go_to_a_folder_of_both_names(short_recording, tmp_path):
+    paths = [short_recording(4, name="first"), later(short_recording(4, "second"), 60.0)]
+    assert main([*map(str, paths), *QUICK]) == 0
+    assert names(tmp_path / "runs") == ["first+second"]
+
+
 # Sequences that cannot be read
 
 
@@ -415,7 +457,7 @@ def test_a_recognizer_that_cannot_be_had(run_slam, short_recording, name):
     [
         ("return np.array([np.nan, 1.0])", "NaN or infinite"),
         ("return np.eye(2)", "shape (2, 2)"),
-        ("return np.array([0.0, 0.6, 0.8])", "3 values after 2"),
+        ("return np.array([0.0, 0.6, 0.8])", "shape (3,) after (2,)"),
         ("return np.array([3.0, 4.0])", "length 5"),
         ("raise ValueError('no more memory')", "ValueError: no more memory"),
     ],

@@ -168,3 +168,10 @@ def test_odd_image_sizes_are_fine():
     camera = replace(CAMERA, width=161, height=119)
     cloud = fuse(result_of([wall(camera=camera)], camera=camera), COARSE)
     assert np.ptp(points_of(cloud)[:, 0]) == pytest.approx(2.0 * 161 / 130, abs=0.12)
+
+
+def test_a_keyframe_without_a_place_is_left_out():
+    placed, apart = wall(0), wall(1, depth_m=1.0)
+    T_world_kf = np.array([np.eye(4), np.full((4, 4), np.nan)])
+    cloud = fuse(result_of([placed, apart], T_world_kf), COARSE)
+    np.testing.assert_array_equal(points_of(cloud), points_of(fuse(result_of([placed]), COARSE)))

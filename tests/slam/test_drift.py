@@ -247,3 +247,20 @@ def test_figures_agree_with_evo():
     assert ours.rpe_translation_m == pytest.approx(rmse(rpe(relation.translation_part)), rel=1e-9)
     angle = relation.rotation_angle_deg
     assert ours.rpe_rotation_deg == pytest.approx(rmse(rpe(angle)), rel=1e-9)
+
+
+def test_the_breaks_between_sessions_need_no_truth():
+    estimate = along([0.0, 10.0, 500.0, 530.0], [np.eye(4)] * 4)
+    stamps_s = [*np.arange(0, 41) * 0.25, *np.arange(2040, 2121) * 0.25]  # from 510 s on
+    truth = along(stamps_s, [np.eye(4)] * len(stamps_s))
+    assert coverage(estimate, truth, [500.0]) == pytest.approx(0.75)
+    assert coverage(estimate, truth, [500.0, 600.0]) == pytest.approx(0.75)
+    assert coverage(estimate, truth) < 0.1
+
+
+def test_the_way_between_sessions_is_no_part_of_the_path():
+    stamps_s = [0.0, 1.0, 100.0, 101.0]
+    path = along(stamps_s, [moved(x) for x in (0.0, 1.0, 50.0, 51.0)])
+    for starts_s, length_m in (((), 51.0), ((100.0,), 2.0)):
+        report = compare_drift(path, path, path, (), (), CONFIG, starts_s)
+        assert report.truth_length_m == pytest.approx(length_m)

@@ -56,3 +56,18 @@ def test_a_landmark_that_no_second_keyframe_sees_is_culled_after_its_chance(scen
         alive.append(bool(local_map.whole.landmarks.is_alive[lonely[0]]))
     assert alive == [True, True, False, False]
     assert lonely[0] not in local_map.nearby_ids
+
+
+def test_the_first_keyframe_of_every_segment_stays_where_it_is(scene):
+    local_map = LocalMap(scene.camera, Config())
+    for k in range(6):
+        grid = FeatureGrid(scene.features[k], scene.camera)
+        pairs = empty_pairs()
+        if k not in (0, 3):
+            pairs = local_map.whole.search(grid, scene.T_world_cam[k], local_map.nearby_ids, 8.0)
+        off = se3.exp(np.array([0.002, 0.0, 0.0, 0.004, 0.0, 0.0])) if pairs.size else np.eye(4)
+        local_map.insert(scene.features[k], grid, scene.T_world_cam[k] @ off, pairs)
+    for k in (0, 3):
+        placed = local_map.whole.keyframes[k].T_map_cam
+        np.testing.assert_array_equal(placed, scene.T_world_cam[k])
+    assert not np.array_equal(local_map.whole.keyframes[5].T_map_cam, scene.T_world_cam[5] @ off)

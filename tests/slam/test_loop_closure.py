@@ -50,10 +50,10 @@ def views(make_views):
     return make_views(T_REF_QUERY)
 
 
-def keyframe(number, features, timestamp_s=None, turning_rad_s=0.0):
+def keyframe(number, features, timestamp_s=None, turning_rad_s=0.0, segment=0):
     timestamp_s = float(number) if timestamp_s is None else timestamp_s
     preview = Frame(timestamp_s, IMAGE, np.zeros((4, 4), np.float32))
-    return Keyframe(number, timestamp_s, np.eye(4), features, preview, turning_rad_s)
+    return Keyframe(number, timestamp_s, np.eye(4), features, preview, turning_rad_s, segment)
 
 
 def run(loop_closer, views, angles_deg, step_s=1.0):
@@ -79,6 +79,31 @@ def test_a_place_seen_again_is_a_loop_with_the_match_as_reference(views):
     assert attempt.verification.pixels.shape == (150, 4)
 
 
+class Levels(Scripted):
+    """Describes a place by a (1, 1) level, and compares levels by their difference."""
+
+    looks_back = 1
+
+    def __init__(self):
+        self.asked = []
+
+    def compare(self, queries, references):
+        self.asked.append(queries.ravel().tolist())
+        return 1 - abs(queries[:, None, 0, 0] - references[None, :, 0, 0])
+
+
+def test_a_recognizer_that_compares_its_embeddings_itself_is_asked(views):
+    levels = Levels()
+    loop_closer = closer(levels, camera=views.camera, candidates=1)
+    for number, level in enumerate([0.0, 0.5, 0.25]):
+        new = keyframe(number, views.reference, 10.0 * number)
+        attempts = loop_closer.close(new, np.full((1, 1), level, np.float32))
+    assert [(attempt.match_id, attempt.similarity) for attempt in attempts] == [(0, 0.75)]
+    assert levels.asked == [[0.0, 0.5], [0.5, 0.25]]
+    expected = [[1, 0.5, 0.75], [0.5, 1, 0.75], [0.75, 0.75, 1]]
+    assert loop_closer.similarities().tolist() == expected
+
+
 def test_a_camera_that_stood_still_closes_no_loop_with_what_it_is_linked_to(views):
     loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
     run(loop_closer, views, [0] * 4, step_s=10.0)
@@ -98,6 +123,40 @@ def test_only_keyframes_outside_the_time_window_are_looked_at(views):
     ]
     attempts = run(closer(camera=views.camera, min_gap_s=3.1, candidates=10), views, [0] * 5)
     assert [pairs(each) for each in attempts] == [[], [], [], [], [(4, 0)]]
+
+
+def close_all(loop_closer, views, segments):
+    """Close loops of keyframes a second apart that look the same, one for each segment named."""
+    return [
+        loop_closer.close(keyframe(k, views.reference, segment=segment), direction(k))
+        for k, segment in enumerate(segments)
+    ]
+
+
+def test_all_keyframes_of_other_segments_are_looked_at_however_new(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    attempts = close_all(loop_closer, views, [0, 0, 1, 1, 0, 2])
+    assert [pairs(each) for each in attempts] == [
+        [],
+        [],
+        [(2, 1), (2, 0)],
+        [(3, 1), (3, 0)],
+        [(4, 3), (4, 2), (4, 1), (4, 0)],
+        [(5, 4), (5, 3), (5, 2), (5, 1), (5, 0)],
+    ]
+    new = keyframe(6, views.reference, segment=0)
+    attempts = loop_closer.close(new, direction(6), linked_ids=[4, 1])
+    assert pairs(attempts) == [(6, 5), (6, 3), (6, 2), (6, 0)]
+
+
+def test_no_more_of_other_segments_than_wanted(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=2)
+    attempts = close_all(loop_closer, views, [0, 0, 1, 0, 0])
+    assert [pairs(each) for each in attempts[2:]] == [
+        [(2, 1), (2, 0)],
+        [(3, 2), (3, 0)],
+        [(4, 2), (4, 1)],
+    ]
 
 
 def test_every_keyframe_beyond_the_window_leaves_an_attempt(views):
@@ -201,7 +260,7 @@ def test_similarities_are_those_between_all_keyframes(views):
         ([np.ones((2, 2)) / 2], r"an array of shape \(2, 2\)"),
         ([np.float32(1.0)], r"an array of shape \(\)"),
         ([np.zeros(0)], r"an array of shape \(0,\)"),
-        ([direction(0), np.array([0.0, 0.0, 1.0])], "3 values after 2"),
+        ([direction(0), np.array([0.0, 0.0, 1.0])], r"shape \(3,\) after \(2,\)"),
         ([np.array([3.0, 4.0])], "a vector of length 5"),
         ([np.zeros(4)], "a vector of length 0"),
         ([None], r"an array of shape \(\)"),
@@ -278,3 +337,10 @@ def test_a_certificate_without_any_pair_to_compare_is_told_all_the_same(views):
 def test_a_certificate_of_another_version_is_refused_at_once():
     with pytest.raises(RecognizerError, match="the certificate of another version"):
         closer(Certified("sha256:1"))
+
+
+def test_a_certificate_is_put_beside_pairs_of_two_segments_too(views):
+    loop_closer = closer(Certified(), camera=views.camera, min_gap_s=3.0)
+    close_all(loop_closer, views, [0, 0, 1])
+    live = loop_closer.calibration().live_similarities
+    np.testing.assert_allclose(live, np.cos(np.radians([2, 1])), atol=1e-6)

@@ -201,3 +201,119 @@ def test_standing_still_makes_no_keyframes(frames):
     tracked = run(still)
     assert [each.new_keyframe is not None for each in tracked] == [True] + [False] * 5
     np.testing.assert_allclose(poses(tracked), np.tile(np.eye(4), (6, 1, 1)), atol=1e-6)
+
+
+def noise(frame):
+    """Return a frame with depth that shows nothing that any other does."""
+    rng = np.random.default_rng(round(1000 * frame.timestamp_s))
+    coarse = rng.integers(0, 256, (24, 32, 3), dtype=np.uint8)
+    rgb = np.kron(coarse, np.ones((10, 10, 1), dtype=np.uint8))
+    return replace(frame, rgb=rgb, depth_m=np.full_like(frame.depth_m, 2.0))
+
+
+@pytest.fixture(scope="module")
+def torn(frames):
+    """Return what becomes of a camera that is carried across the room with its lens covered."""
+    spoiled = [*frames[:8], *(black(frame) for frame in frames[8:11]), *frames[24:34]]
+    return spoiled, run(spoiled)
+
+
+def test_a_camera_in_an_unknown_place_begins_a_segment_of_its_own_at_once(torn, T_first_cam):
+    _, tracked = torn
+    assert all(isinstance(each, Rejection) for each in tracked[8:11])
+    assert all(isinstance(each, TrackedFrame) for each in tracked[11:])
+    begun = tracked[11].new_keyframe
+    assert begun.segment == 1 and begun.turning_rad_s == 0.0 and tracked[11].links == ()
+    assert begun.id == tracked[11].keyframe_id == 1 + max(each.keyframe_id for each in tracked[:8])
+    np.testing.assert_array_equal(begun.T_odom_cam, np.eye(4))
+    T_begun_cam = se3.inverse(T_first_cam[24]) @ T_first_cam[24:34]
+    error_m, error_deg = errors(poses(tracked[11:]), T_begun_cam)
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
+def test_links_stay_within_their_segment(torn):
+    _, tracked = torn
+    keyframes = [each.new_keyframe for each in tracked if getattr(each, "new_keyframe", None)]
+    segment_of = {keyframe.id: keyframe.segment for keyframe in keyframes}
+    assert list(segment_of) == list(range(len(keyframes)))
+    assert sorted(segment_of.values()) == list(segment_of.values())
+    links = [link for each in tracked[:8] + tracked[11:] for link in each.links]
+    assert all(segment_of[link.ref_id] == segment_of[link.query_id] for link in links)
+
+
+def test_the_origin_of_a_later_segment_stays_where_it_is(frames):
+    tracker = RgbdOdometry(CAMERA, Config())
+    for frame in [*frames[:8], *frames[24:50]]:
+        tracker.track(frame)
+    origins = [
+        each.T_map_cam for each in tracker.map.keyframes if (each.T_map_cam == np.eye(4)).all()
+    ]
+    assert len(origins) == 2
+
+
+def test_a_single_bad_frame_does_not_part_the_map(frames, tracked, T_first_cam):
+    spoiled = [noise(frame) if i in (8, 13, 14) else frame for i, frame in enumerate(frames[:20])]
+    found = run(spoiled)
+    seen = [i for i in range(20) if i not in (8, 13, 14)]
+    of_frame = segment_of_each(found)
+    assert {of_frame[i] for i in seen} == {0}
+    assert len({of_frame[i] for i in (8, 13, 14)} | {0}) == 4
+    error_m, error_deg = errors(poses(found)[seen], T_first_cam[seen])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
+def segment_of_each(tracked):
+    """Return the segment of every frame: that of the keyframe it was placed against."""
+    segment_of, found = {}, []
+    for each in tracked:
+        if each.new_keyframe is not None:
+            segment_of[each.new_keyframe.id] = each.new_keyframe.segment
+        found.append(segment_of[each.new_keyframe.id if each.new_keyframe else each.keyframe_id])
+    return found
+
+
+def test_a_frame_that_shows_next_to_nothing_is_not_worth_a_segment(frames):
+    dim = noise(frames[6])
+    dim.depth_m[:, 40:] = 0.0
+    tracked = run([*frames[:6], dim, *frames[7:9]])
+    assert isinstance(tracked[6], Rejection) and tracked[6].needed == 15
+    assert segment_of_each([*tracked[:6], *tracked[7:]]) == [0] * 8
+    (begun,) = run([dim])  # but better than no beginning
+    assert begun.new_keyframe.segment == 0 and len(begun.new_keyframe.features.pixels) > 15
+
+
+def test_many_bad_frames_in_a_row_do_not_hide_where_the_camera_was(frames, T_first_cam):
+    found = run([noise(frame) if 8 <= i < 11 else frame for i, frame in enumerate(frames[:20])])
+    seen = [i for i in range(20) if not 8 <= i < 11]
+    of_frame = segment_of_each(found)
+    assert {of_frame[i] for i in seen} == {0} and of_frame[8:11] == [1, 2, 3]
+    error_m, error_deg = errors(poses(found)[seen], T_first_cam[seen])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
+def test_a_camera_that_comes_back_goes_on_where_it_was(frames, T_first_cam):
+    # Far away for some frames, and then back: the last two segments are remembered.
+    away = [
+        replace(frame, timestamp_s=frames[7].timestamp_s + 0.1 * i)
+        for i, frame in enumerate(frames[24:30], start=1)
+    ]
+    back = [
+        replace(frame, timestamp_s=away[-1].timestamp_s + 0.1 * i)
+        for i, frame in enumerate(frames[7:14], start=1)
+    ]
+    found = run([*frames[:8], *away, *back])
+    assert segment_of_each(found) == [0] * 8 + [1] * 6 + [0] * 7
+    assert found[14].new_keyframe is not None and found[14].links[0].ref_id < found[8].keyframe_id
+    error_m, error_deg = errors(poses(found)[14:], T_first_cam[7:14])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
+def test_a_session_begins_anew_even_where_the_last_one_ended(frames):
+    tracker = RgbdOdometry(CAMERA, Config())
+    for frame in frames[:5]:
+        tracker.track(frame)
+    tracker.start_session()
+    assert isinstance(tracker.track(black(frames[5])), Rejection)
+    begun = tracker.track(frames[6]).new_keyframe
+    assert begun.segment == 1
+    np.testing.assert_array_equal(begun.T_odom_cam, np.eye(4))

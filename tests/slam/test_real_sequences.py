@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole pipeline on real recordings, held to what it has to reach there."""
 
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from placerec.gradients import GradientRecognizer
 from slam.config import EvaluationConfig, InputConfig
-from slam.datasets import open_sequence
-from slam.drift import DriftReport, compare_drift
+from slam.datasets import Sessions, open_sequence
+from slam.drift import DriftReport, compare_drift, trajectory_error
 from slam.ledger import write_ledger
 from slam.system import Slam
 from slam.trajectory import write_tum
@@ -82,6 +84,51 @@ def test_loops_are_closed_and_none_of_them_is_false(name, request):
     verdicts = [loop.is_false for loop in request.getfixturevalue(name).drift.loops]
     assert verdicts.count(False) >= 10
     assert verdicts.count(True) == 0
+
+
+COVERED_S = (7.0, 8.0)  # since the first frame; afterwards nothing is in view that was before
+
+
+@pytest.fixture(scope="session")
+def covered(data):
+    """Return the desk with the lens covered for a second, its frames' times and its truth."""
+    sequence = open_recording(data, "desk")
+    since_s = sequence.timestamps_s - sequence.timestamps_s[0]
+    is_covered = (since_s >= COVERED_S[0]) & (since_s < COVERED_S[1])
+    slam = Slam(sequence.camera, GradientRecognizer())
+    for frame, is_black in zip(sequence, is_covered, strict=True):
+        dark = replace(frame, rgb=0 * frame.rgb, depth_m=0 * frame.depth_m) if is_black else frame
+        slam.process(dark)
+    return slam.finish(), sequence, is_covered
+
+
+def test_every_frame_after_a_covered_lens_is_placed(covered):
+    result, sequence, is_covered = covered
+    np.testing.assert_array_equal(result.untracked_s, sequence.timestamps_s[is_covered])
+    np.testing.assert_array_equal(
+        result.trajectory.timestamps_s, sequence.timestamps_s[~is_covered]
+    )
+    assert len({keyframe.segment for keyframe in result.keyframes}) == 2
+    error = trajectory_error(result.trajectory, sequence.ground_truth, EvaluationConfig())
+    is_later = error.timestamps_s > sequence.timestamps_s[is_covered].max()
+    assert np.count_nonzero(is_later) > 300
+    assert error.position_errors_m[is_later].max() < 0.05
+    assert error.ate_rmse_m <= 0.018
+
+
+def test_two_sessions_make_one_connected_map(data):
+    sessions = Sessions([open_recording(data, name) for name in ("xyz", "desk")])
+    slam = Slam(sessions.camera, GradientRecognizer())
+    for recording in sessions.recordings:
+        slam.start_session()
+        for frame in recording:
+            slam.process(frame)
+    result = slam.finish()
+    assert len(result.trajectory) == 994 and len(result.untracked_s) == 0
+    assert np.isfinite(result.T_world_kf).all()
+    truth = sessions.ground_truth
+    error = trajectory_error(result.trajectory, truth, EvaluationConfig())
+    assert error.ate_rmse_m <= 0.022 and error.matched_share > 0.99
 
 
 def test_two_runs_write_the_same_bytes(data, tmp_path):

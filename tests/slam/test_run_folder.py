@@ -10,10 +10,12 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from slam.config import Config, EvaluationConfig, MapConfig, load_config
+from placerec.gradients import GradientRecognizer
+from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_config
 from slam.drift import compare_drift
 from slam.ledger import read_ledger
 from slam.run_folder import make_run_folder, write_run
+from slam.system import Slam
 from slam.trajectory import read_tum
 from slam.types import RelativePose, SlamError
 
@@ -64,6 +66,34 @@ def names(folder):
 
 def test_every_file_is_there_and_nothing_else(written):
     assert names(written) == sorted(IN_ORDER)
+
+
+def test_what_was_not_joined_is_in_no_file_but_the_ledger(tmp_path, frames, sequence):
+    slam = Slam(sequence.camera, GradientRecognizer(), Config(loop=LoopConfig(min_similarity=-1.0)))
+    for frame in [*frames[:6], *frames[24:34]]:
+        slam.process(frame)
+    parted = slam.finish()
+    is_apart = np.isnan(parted.T_world_kf[:, 0, 0])
+    assert 0 < is_apart.sum() < len(is_apart)
+    drift = compare_drift(
+        parted.odometry,
+        parted.trajectory,
+        sequence.ground_truth,
+        parted.attempts,
+        parted.keyframes,
+        EvaluationConfig(),
+    )
+    write_run(tmp_path, parted, drift, sequence.ground_truth, CONFIG, *NAMES)
+    assert names(tmp_path) == sorted(IN_ORDER)
+    assert len(read_tum(tmp_path / "keyframes.txt").timestamps_s) == (~is_apart).sum()
+    assert len(read_tum(tmp_path / "trajectory.txt")) == 10
+    _, values = gtsam.readG2o(str(tmp_path / "pose_graph.g2o"), True)
+    assert sorted(values.keys()) == np.flatnonzero(~is_apart).tolist()
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["frames_tracked"], summary["frames_unjoined"]) == (10, 6)
+    records = read_ledger(tmp_path / "loops.jsonl")
+    assert len(records) == len(parted.attempts) > 0 and not any(each.accepted for each in records)
+    assert "10 of 16" in (tmp_path / "report.html").read_text()
 
 
 def test_trajectories_are_read_back(written, result, sequence):

@@ -12,6 +12,7 @@ from slam.drift import DriftReport, LoopTruth, TrajectoryError
 from slam.summary import summarise
 from slam.types import (
     Camera,
+    Keyframe,
     Link,
     LoopAttempt,
     Rejection,
@@ -68,6 +69,24 @@ def test_counts():
     assert summary["loops_outvoted"] == 2
     assert (summary["loops_judged"], summary["loops_false"]) == (2, 1)
     assert summary["warnings"] == ["The depth scale looks odd."]
+
+
+def test_a_part_of_the_map_that_was_not_joined_is_counted():
+    keyframes = tuple(
+        Keyframe(k, float(k), np.eye(4), None, None, segment=k // 2) for k in range(5)
+    )
+    T_world_kf = np.tile(np.eye(4), (5, 1, 1))
+    T_world_kf[2:4] = np.nan
+    parted = replace(
+        result(),
+        keyframes=keyframes,
+        T_world_kf=T_world_kf,
+        unjoined_s=np.array([9.0]),
+        session_starts_s=np.array([4.0]),
+    )
+    summary = summarise(parted, None)
+    assert (summary["sessions"], summary["segments"]) == (2, 2)
+    assert (summary["frames_untracked"], summary["frames_unjoined"]) == (2, 1)
 
 
 def test_errors_stand_beside_how_they_were_taken():

@@ -11,7 +11,7 @@ from placerec.calibration import calibrate
 from placerec.datasets import PlaceDataset
 from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
-from slam import back_end, final_map, se3
+from slam import atlas, final_map, se3
 from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig
 from slam.drift import compare_drift, trajectory_error
 from slam.odometry import TrackedFrame
@@ -132,7 +132,7 @@ def test_all_links_and_accepted_loops_come_into_the_graph(frames, monkeypatch):
             loops.append((key, ref_id, query_id))
             super().add_loop(key, ref_id, query_id, motion)
 
-    monkeypatch.setattr(back_end, "PoseGraph", Spy)
+    monkeypatch.setattr(atlas, "PoseGraph", Spy)
     result = run(frames)
     assert tuple(links) == result.links
     assert loops == [
@@ -421,3 +421,113 @@ def test_frames_are_corrected_with_their_keyframe(frames):
         before = se3.inverse(result.odometry.T_world_cam[i]) @ result.keyframes[k].T_odom_cam
         after = se3.inverse(result.trajectory.T_world_cam[i]) @ result.T_world_kf[k]
         np.testing.assert_allclose(before, after, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def torn(frames):
+    """Return a run whose camera was lost for a third of the way there, and then went back."""
+    return run([*frames[:8], *(black(frame) for frame in frames[8:24]), *frames[24:]])
+
+
+def test_the_two_sides_of_a_loss_are_joined_where_a_place_is_seen_again(torn, frames, sequence):
+    assert {keyframe.segment for keyframe in torn.keyframes} == {0, 1}
+    assert np.isfinite(torn.T_world_kf).all()
+    times_s = [frame.timestamp_s for frame in (*frames[:8], *frames[24:])]
+    for trajectory in (torn.odometry, torn.trajectory):
+        np.testing.assert_array_equal(trajectory.timestamps_s, times_s)
+    assert len(torn.untracked_s) == 16 and len(torn.unjoined_s) == 0
+    (warning,) = torn.warnings
+    assert warning.startswith("16 of 60 frames could not be tracked")
+    error = trajectory_error(torn.trajectory, sequence.ground_truth, EvaluationConfig())
+    assert error.position_errors_m.max() < 0.05
+
+
+def test_loops_between_segments_are_loops_like_others(torn, sequence):
+    segment_of = [keyframe.segment for keyframe in torn.keyframes]
+    across = [
+        each for each in torn.attempts if segment_of[each.match_id] != segment_of[each.query_id]
+    ]
+    assert sum((each.weight or 0.0) > 0.9 for each in across) >= 2
+    ties = [link for link in torn.links if segment_of[link.ref_id] != segment_of[link.query_id]]
+    assert [segment_of.index(1)] == [tie.query_id for tie in ties]
+    assert np.trace(ties[0].motion.information) < 10.0
+
+
+def test_a_torn_odometry_is_tied_by_one_motion(torn, sequence):
+    index_of = {time_s: i for i, time_s in enumerate(torn.odometry.timestamps_s)}
+    at_keyframes = [index_of[keyframe.timestamp_s] for keyframe in torn.keyframes]
+    np.testing.assert_array_equal(
+        torn.odometry.T_world_cam[at_keyframes],
+        [keyframe.T_odom_cam for keyframe in torn.keyframes],
+    )
+    error = trajectory_error(torn.odometry, sequence.ground_truth, EvaluationConfig())
+    assert error.ate_rmse_m < 0.05
+
+
+def test_a_torn_run_gives_the_same_bits_again(torn, frames):
+    again = run([*frames[:8], *(black(frame) for frame in frames[8:24]), *frames[24:]])
+    np.testing.assert_array_equal(again.trajectory.T_world_cam, torn.trajectory.T_world_cam)
+    assert [each.weight for each in again.attempts] == [each.weight for each in torn.attempts]
+
+
+def test_a_part_that_nothing_joins_is_told_and_not_made_up(frames):
+    result = run([*frames[:6], *frames[24:34]])
+    is_first = [keyframe.segment == 0 for keyframe in result.keyframes]
+    assert 0 < sum(is_first) < len(is_first)
+    np.testing.assert_array_equal(np.isnan(result.T_world_kf).all(axis=(1, 2)), is_first)
+    first_s = [frame.timestamp_s for frame in frames[:6]]
+    assert result.unjoined_s.tolist() == result.untracked_s.tolist() == first_s
+    for trajectory in (result.odometry, result.trajectory):
+        assert trajectory.timestamps_s.tolist() == [each.timestamp_s for each in frames[24:34]]
+        np.testing.assert_allclose(trajectory.T_world_cam[0], np.eye(4), atol=1e-9)
+    (warning,) = result.warnings
+    assert warning.startswith(f"6 of 16 frames, from {first_s[0]:.3f} s to {first_s[-1]:.3f} s")
+    placed = {keyframe.id for keyframe in result.keyframes if keyframe.segment == 1}
+    assert all({link.ref_id, link.query_id} <= placed for link in result.links)
+
+
+def test_frames_that_show_nothing_known_end_well(frames, sequence):
+    rng = np.random.default_rng(0)
+
+    def strange(frame):
+        rgb = np.kron(rng.integers(0, 256, (24, 32, 3), np.uint8), np.ones((10, 10, 1), np.uint8))
+        return replace(frame, rgb=rgb, depth_m=np.full_like(frame.depth_m, 2.0))
+
+    result = run([strange(each) if i % 4 == 3 else each for i, each in enumerate(frames[:32])])
+    good_s = [frame.timestamp_s for i, frame in enumerate(frames[:32]) if i % 4 != 3]
+    assert result.trajectory.timestamps_s.tolist() == good_s
+    assert len(result.unjoined_s) == 8
+    error = trajectory_error(result.trajectory, sequence.ground_truth, EvaluationConfig())
+    assert error.position_errors_m.max() < 0.05
+
+
+def test_two_sessions_make_one_map(frames, sequence):
+    slam = Slam(CAMERA, GradientRecognizer())
+    slam.start_session()  # the first may be announced too
+    for frame in frames[2:24]:
+        slam.process(frame)
+    slam.start_session()
+    for frame in frames[36:]:
+        slam.process(frame)
+    result = slam.finish()
+    assert result.session_starts_s.tolist() == [frames[36].timestamp_s]
+    assert len(result.trajectory) == 46 and not len(result.untracked_s)
+    assert [each.segment for each in result.keyframes if each.timestamp_s > 104.0].count(0) == 0
+    error = trajectory_error(result.trajectory, sequence.ground_truth, EvaluationConfig())
+    assert error.ate_rmse_m < 0.03
+
+
+def test_sessions_of_poses_from_elsewhere_make_one_map(drifting, sequence):
+    slam = Slam(CAMERA, GradientRecognizer())
+    T_other_odom = se3.exp(np.array([0.3, 1.2, 0.1, 5.0, 6.0, 7.0]))
+    for i, (frame, T_odom_cam) in enumerate(zip(*drifting, strict=True)):
+        if i == 8:
+            slam.start_session()
+        slam.add_keyframe(frame, T_other_odom @ T_odom_cam if i >= 8 else T_odom_cam)
+    result = slam.finish()
+    assert [each.segment for each in result.keyframes] == [0] * 8 + [1] * 7
+    assert [each.id for each in result.keyframes] == list(range(15))
+    assert np.isfinite(result.T_world_kf).all()
+    np.testing.assert_array_equal(result.odometry.T_world_cam[:8], drifting[1][:8])
+    error = trajectory_error(result.trajectory, sequence.ground_truth, EvaluationConfig())
+    assert error.ate_rmse_m < 0.05

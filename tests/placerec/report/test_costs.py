@@ -37,3 +37,17 @@ def test_the_papers_figures_stand_beside_ours(measured):
     assert [drawing.alt for drawing in drawings][2] == "Bars: bytes per place"
     r_mac = next(row for row in PAPER if row.method == "R-MAC")
     assert (r_mac.embed_ms, r_mac.values) == (1694.0, 512)
+
+
+def test_a_method_of_the_paper_is_known_however_it_is_written(measured):
+    names = ["learned", "R-MAC", "HybridNet", "netvlad", "gradients"]
+    found = [row.published for row in cost_rows([named(measured, name) for name in names])]
+    assert [row and row.method for row in found] == [
+        "AlexNet, 4096 values",
+        "R-MAC",
+        "AMOSNet, HybridNet",
+        "NetVLAD",
+        None,
+    ]
+    assert found[0].embed_ratio == pytest.approx(1 / 77)
+    assert found[2].size_ratio == pytest.approx(256 * 13 * 13 / 512)

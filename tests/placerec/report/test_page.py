@@ -114,6 +114,13 @@ def test_figures_marks_and_failures_are_told(page):
     assert "other: no wrong match" in text
 
 
+def test_the_papers_ratio_to_r_mac_stands_beside_the_measured_one(measured):
+    rows = [replace(measured, recognizer=name) for name in ("amosnet", "r-mac")]
+    text = Page(render(rows)).text
+    assert "amosnet walk 12.3 1 – 0.123 1 512 2,048 1 84.5" in text
+    assert "r-mac walk 12.3 1 1 0.123 1 512 2,048 1 1" in text
+
+
 def test_the_best_of_a_column_is_bold(text):
     head = text[: text.index("<nav")]
     assert re.findall(r"<b>([\d.]+)</b>", head) == ["0.750", "0.875"]

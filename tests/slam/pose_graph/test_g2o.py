@@ -40,6 +40,14 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
             )
 
 
+def test_keyframes_without_a_place_are_left_out(tmp_path: Path) -> None:
+    motion = RelativePose(np.eye(4), np.eye(6))
+    poses = np.array([np.full((4, 4), np.nan), np.eye(4), np.eye(4)])
+    write_g2o(tmp_path / "graph.g2o", poses, [Link(1, 2, motion)])
+    _, values = read_g2o(tmp_path / "graph.g2o")
+    assert list(values.keys()) == [1, 2]
+
+
 def test_translation_comes_first_in_the_file(tmp_path: Path) -> None:
     motion = RelativePose(np.eye(4), np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))
     write_g2o(tmp_path / "graph.g2o", np.array([np.eye(4)] * 2), [Link(0, 1, motion)])

@@ -2,10 +2,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
-from slam.report.paths import broken, gather, positions_at
+from slam.report.paths import SESSION_GAP_S, broken, gather, positions_at
 from slam.types import Trajectory
+
+PER_KEYFRAME = 5  # frames, in the run of conftest.py
 
 
 def test_paths_are_brought_into_the_frame_of_the_truth(run) -> None:
@@ -44,3 +47,33 @@ def test_lines_break_where_frames_are_missing() -> None:
     assert_allclose(broken_times, (0.0, 0.1, 0.2, np.nan, 2.0, 2.1))
     assert_allclose(values, (0, 1, 2, np.nan, 3, 4))
     assert len(broken(times[:1], times[:1])[0]) == 1
+
+
+def test_the_breaks_between_sessions_are_left_out(run, altered) -> None:
+    times = run.result.trajectory.timestamps_s.copy()
+    times[30:] += 100.0
+    later = replace(run.result.trajectory, timestamps_s=times)
+    keyframes = [
+        replace(each, timestamp_s=times[k * PER_KEYFRAME])
+        for k, each in enumerate(run.result.keyframes)
+    ]
+    result = altered(session_starts_s=times[30:31], keyframes=tuple(keyframes))
+    paths = gather(replace(result, trajectory=later, odometry=later), None, None)
+    assert_allclose(paths.keyframe_times_s, paths.times_s[::PER_KEYFRAME])
+    assert_allclose(np.diff(paths.times_s[:30]), np.diff(times[:30]))
+    assert_allclose(np.diff(paths.times_s[30:]), np.diff(times[30:]))
+    assert paths.times_s[30] - paths.times_s[29] == pytest.approx(SESSION_GAP_S)
+    assert paths.session_starts.tolist() == [0, 30]
+    assert_allclose(paths.elapsed_s(times), paths.times_s)
+
+
+def test_truth_between_two_sessions_is_not_drawn(run, altered) -> None:
+    times = run.result.trajectory.timestamps_s.copy()
+    times[30:] += 100.0
+    later = replace(run.result.trajectory, timestamps_s=times)
+    result = replace(altered(session_starts_s=times[30:31]), trajectory=later, odometry=later)
+    stamps = np.arange(times[0] - 5.0, times[-1] + 5.0, 0.1)
+    truth = Trajectory(stamps, np.tile(np.eye(4), (len(stamps), 1, 1)))
+    drawn = gather(result, run.drift, truth).truth_times_s + times[0]
+    assert not ((drawn > times[29] + 0.01) & (drawn < times[30] - 0.01)).any()
+    assert (drawn < times[29]).any() and (drawn > times[30]).any()

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of what a recognizer returns, and of what it does beside that."""
+
+import io
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+
+import numpy as np
+
+from placerec.conformance.finding import Check, Outcome, judged, not_tried
+from placerec.conformance.pictures import Image, colourless, odd_sizes, places
+from placerec.conformance.subject import Subject
+from placerec.recognizer import MAX_LENGTH_ERROR, CheckedRecognizer, RecognizerError
+
+NUMBERS = "returns numbers"
+SHAPE = "one shape"
+FINITE = "finite"
+MEMBERS = "its other members"
+LENGTH = "unit length"
+SHOWN = 40
+
+
+def _returns_numbers(subject: Subject) -> Outcome:
+    answer: object = subject.recognizer.embed(places()[0])
+    values = np.asarray(answer)
+    if not np.issubdtype(values.dtype, np.number):  # None would be a NaN
+        return judged(False, f"a {type(answer).__name__}, which is not an array of numbers")
+    return judged(values.size > 0, f"{values.size} of them")
+
+
+def _members(subject: Subject) -> Outcome:
+    try:
+        checked = CheckedRecognizer(subject.recognizer)
+    except RecognizerError as error:
+        return judged(False, f"{error}")
+    looks_back = f"by itself, looking back {checked.looks_back}"
+    how = looks_back if subject.compares else "by cosine"
+    return judged(True, f"compares {how}, min_similarity {checked.min_similarity:.4g}")
+
+
+def _shape(subject: Subject) -> Outcome:
+    shapes = sorted({embedding.shape for embedding in subject.embeddings})
+    is_fixed = len(shapes) == 1 and len(shapes[0]) > 0
+    is_good = is_fixed and (len(shapes[0]) == 1 or subject.compares)
+    return judged(is_good, " and ".join(map(str, shapes)))
+
+
+def _dtype(subject: Subject) -> Outcome:
+    answer: object = subject.recognizer.embed(places()[0])
+    seen = str(answer.dtype) if isinstance(answer, np.ndarray) else f"a {type(answer).__name__}"
+    return judged(seen == "float32", seen)
+
+
+def _finite(subject: Subject) -> Outcome:
+    is_finite = np.isfinite(np.concatenate([embedding.ravel() for embedding in subject.embeddings]))
+    bad = int((~is_finite).sum())
+    return judged(bad == 0, f"{bad} of {is_finite.size} values are NaN or infinite")
+
+
+def _unit_length(subject: Subject) -> Outcome:
+    if subject.compares:
+        return not_tried("not needed: it compares embeddings by itself")
+    lengths = [float(np.linalg.norm(embedding)) for embedding in subject.embeddings]
+    good = np.allclose(lengths, 1.0, rtol=0.0, atol=MAX_LENGTH_ERROR)
+    return judged(good, f"lengths {min(lengths):.6g} to {max(lengths):.6g}")
+
+
+def _colourless(subject: Subject) -> Outcome:
+    return _like_the_others(subject, ("grey", "black", "white", "one hue"), colourless())
+
+
+def _any_size(subject: Subject) -> Outcome:
+    images = odd_sizes()
+    return _like_the_others(subject, [f"{i.shape[1]}x{i.shape[0]}" for i in images], images)
+
+
+def _like_the_others(subject: Subject, titles: Sequence[str], images: list[Image]) -> Outcome:
+    usual = subject.embeddings[0].shape
+    for title, image in zip(titles, images, strict=True):
+        try:
+            embedding = subject.embed(image)
+        except Exception as error:
+            return judged(False, f"{title}: {subject.explain(error)}")
+        if embedding.shape != usual:
+            return judged(False, f"{title}: shape {embedding.shape}, of others {usual}")
+        if not np.isfinite(embedding).all():
+            return judged(False, f"{title}: values that are NaN or infinite")
+        length = float(np.linalg.norm(embedding))
+        if not (subject.compares or abs(length - 1.0) <= MAX_LENGTH_ERROR):
+            return judged(False, f"{title}: a vector of length {length:.6g}")
+    return judged(True, f"{', '.join(titles)}: all {usual}")
+
+
+def _leaves_image(subject: Subject) -> Outcome:
+    image = places()[0]
+    before = image.copy()
+    subject.recognizer.embed(image)
+    changed = int((before != image).sum())
+    return judged(changed == 0, f"{changed} values changed")
+
+
+def _prints_nothing(subject: Subject) -> Outcome:
+    with redirect_stdout(io.StringIO()) as printed:
+        subject.embed(places()[0])
+    text = printed.getvalue()
+    return judged(not text, f"{len(text)} characters" + (f": {text[:SHOWN]!r}" if text else ""))
+
+
+CHECKS = (
+    Check(
+        NUMBERS,
+        _returns_numbers,
+        "embed(image) takes a (480, 640, 3) uint8 RGB array and returns a (D,) float32 array",
+    ),
+    Check(
+        MEMBERS,
+        _members,
+        "see placerec.recognizer.PlaceRecognizer; `placerec calibrate` finds min_similarity",
+    ),
+    Check(
+        SHAPE,
+        _shape,
+        "return (D,) for every image: embedding[0] of a batch of one, embedding.ravel() of a map",
+        needs=(NUMBERS,),
+    ),
+    Check(
+        "float32",
+        _dtype,
+        "return np.asarray(embedding, np.float32)",
+        needs=(NUMBERS,),
+    ),
+    Check(
+        FINITE,
+        _finite,
+        "look for a division by 0, a root or a logarithm of what is not above 0",
+        needs=(NUMBERS,),
+    ),
+    Check(
+        LENGTH,
+        _unit_length,
+        "return embedding / np.linalg.norm(embedding)",
+        needs=(SHAPE, FINITE),
+    ),
+    Check(
+        "grey and empty images",
+        _colourless,
+        "where pixels are alike, deviations and lengths are 0: add a little before dividing",
+        needs=(LENGTH,),
+    ),
+    Check(
+        "images of any size",
+        _any_size,
+        "resize within embed: callers hand images over as they come from the camera",
+        needs=(LENGTH,),
+    ),
+    Check(
+        "leaves the image alone",
+        _leaves_image,
+        "it is used after you: work on image.copy()",
+        needs=(NUMBERS,),
+    ),
+    Check(
+        "prints nothing",
+        _prints_nothing,
+        "stdout belongs to the commands: use logging",
+        needs=(NUMBERS,),
+    ),
+)

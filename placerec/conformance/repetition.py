@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks that the same image gives the same bytes, whenever and wherever it is embedded."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Barrier
+from time import sleep
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.conformance.answer import FINITE, SHAPE
+from placerec.conformance.finding import Check, Outcome, judged
+from placerec.conformance.pictures import places
+from placerec.conformance.subject import Subject
+
+AGAINS = 3
+THREADS = 4
+ROUNDS = 2
+PAUSES = 500
+"""In each thread; the lines after that run on."""
+PAUSE_S = 1e-5
+
+AGAIN = "the same image again"
+ALONE = "whatever came before"
+ANOTHER_THREAD = "in another thread"
+SECOND = "by a second instance"
+FRESH = "in a fresh process"
+
+
+def _again(subject: Subject) -> Outcome:
+    first = places()[0]
+    subject.embed(first)  # what came before is another check's
+    return _same([subject.embed(first)] * AGAINS, [subject.embed(first) for _ in range(AGAINS)])
+
+
+def _alone(subject: Subject) -> Outcome:
+    images = places()
+    backwards = [subject.embed(image) for image in reversed(images)]
+    return _same([subject.embed(image) for image in images], backwards[::-1])
+
+
+def _another_thread(subject: Subject) -> Outcome:
+    with ThreadPoolExecutor(1) as thread:
+        return _same(subject.embeddings, list(thread.map(subject.embed, places())))
+
+
+def _threads_at_once(subject: Subject) -> Outcome:
+    images, start = places(), Barrier(THREADS)
+    orders = [np.roll(np.arange(len(images)), k).tolist() * ROUNDS for k in range(THREADS)]
+
+    def work(order: list[int]) -> list[NDArray[Any]]:
+        start.wait()
+        with _hesitating(subject):
+            return [subject.embed(images[i]) for i in order]
+
+    with ThreadPoolExecutor(THREADS) as threads:
+        found = [embedding for row in threads.map(work, orders) for embedding in row]
+    expected = [subject.embeddings[i] for order in orders for i in order]
+    return _same(expected, found)
+
+
+@contextmanager
+def _hesitating(subject: Subject) -> Iterator[None]:
+    """Let other threads have their turn between any two lines of the recognizer's own code.
+
+    Left to itself, a thread is interrupted so rarely that it would take luck to see what two of
+    them have in common.
+    """
+    pauses = iter(range(PAUSES))
+
+    def pause(frame: FrameType, event: str, argument: object) -> "Callable[..., Any] | None":
+        if not subject.owns(frame) or next(pauses, None) is None:
+            return None
+        sleep(PAUSE_S)
+        return pause
+
+    before = sys.gettrace()
+    sys.settrace(pause)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
+def _second_instance(subject: Subject) -> Outcome:
+    other = subject.another()
+    return _same(subject.embeddings, [other.embed(image) for image in places()])
+
+
+def _fresh_process(subject: Subject) -> Outcome:
+    return _same(subject.embeddings, list(subject.fresh_run.embeddings))
+
+
+def _same(expected: Sequence[NDArray[Any]], found: Sequence[NDArray[Any]]) -> Outcome:
+    pairs = list(zip(expected, found, strict=True))
+    wrong = [(a, b) for a, b in pairs if a.shape != b.shape or a.tobytes() != b.tobytes()]
+    if not wrong:
+        return judged(True, f"{len(pairs)} of {len(pairs)} to the last bit")
+    gaps = [float(np.abs(a - b).max()) for a, b in wrong if a.shape == b.shape]
+    how = f"by up to {max(gaps):.3g}" if gaps else "in shape"
+    return judged(False, f"{len(wrong)} of {len(pairs)} differ {how}")
+
+
+CHECKS = (
+    Check(
+        AGAIN,
+        _again,
+        "seed what is random; switch a network to eval()",
+        needs=(SHAPE, FINITE),
+    ),
+    Check(
+        ALONE,
+        _alone,
+        "keep nothing on self from one image to the next",
+        needs=(AGAIN,),
+    ),
+    Check(
+        ANOTHER_THREAD,
+        _another_thread,
+        "SLAM embeds in a thread of its own: __init__ must make nothing that belongs to its thread",
+        needs=(ALONE,),
+    ),
+    Check(
+        "in several threads at once",
+        _threads_at_once,
+        "keep what is half done in local variables, not on self, or take a threading.Lock",
+        needs=(ANOTHER_THREAD,),
+    ),
+    Check(
+        SECOND,
+        _second_instance,
+        "seed what __init__ draws at random, or read it from a file",
+        needs=(ALONE,),
+    ),
+    Check(
+        FRESH,
+        _fresh_process,
+        "depend on nothing else: hash() of a string, the order of a set, id(), the time",
+        needs=(SECOND,),
+    ),
+)
