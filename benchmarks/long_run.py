@@ -21,6 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import cv2
@@ -111,12 +112,10 @@ class TimedIndex(PlaceIndex):
 
     seconds: list[float]
 
-    def query(
-        self, embedding: NDArray[np.float32], count: int, limit: int | None = None
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Return the places most similar to an embedding, best first."""
+    def query(self, *asked: Any, **how: Any) -> Any:
+        """Return the places most similar to an embedding."""
         start_s = time.perf_counter()
-        answer = super().query(embedding, count, limit)
+        answer = super().query(*asked, **how)
         self.seconds.append(time.perf_counter() - start_s)
         return answer
 

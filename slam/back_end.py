@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places, loops and the pose graph: worked on behind the tracker's back, one keyframe at a time."""
 
+from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -8,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.recognizer import PlaceRecognizer
+from placerec.recognizer import PlaceRecognizer, RecognizerError
 from slam.atlas import Atlas
 from slam.calibration import Calibration
 from slam.config import Config
@@ -25,6 +26,8 @@ from slam.types import (
     Rejection,
     RejectionReason,
 )
+
+_ROOM = 8  # keyframes in line: a camera that turns fast makes some in a row, and then fewer
 
 
 @dataclass(frozen=True)
@@ -55,10 +58,10 @@ class ClosedLoops:
 class BackEnd:
     """Describes each keyframe's place, closes its loops and constrains the graph, in a thread.
 
-    Tracking needs none of the answers, so it never waits for them, but for one thing: a keyframe
-    is begun only when the one before is done. So the work cannot pile up, and what comes out does
-    not depend on who was faster. The graph is solved only when somebody asks: each solve takes
-    longer than the one before.
+    Tracking needs none of the answers, so it never waits for them, but for one thing: no more than
+    a few keyframes may stand in line. So the work cannot pile up, and what comes out does not
+    depend on who was faster. The graph is solved only when somebody asks: each solve takes longer
+    than the one before.
 
     Attributes:
         keyframes: those that were taken in completely.
@@ -71,7 +74,8 @@ class BackEnd:
         self._atlas = Atlas(config.graph)
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
-        self._underway: Future[tuple[LoopAttempt, ...]] | None = None
+        self._in_line: deque[Future[tuple[LoopAttempt, ...]]] = deque()
+        self._failure: RecognizerError | None = None  # nothing after it is taken in
         self._attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
 
@@ -83,26 +87,29 @@ class BackEnd:
     @property
     def is_empty(self) -> bool:
         """Whether no keyframe was taken in and none is being worked on."""
-        return not self.keyframes and self._underway is None
+        return not self.keyframes and not self._in_line
 
     def insert(self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]) -> None:
-        """Begin with a keyframe, once the one before is done.
+        """Put a keyframe in line, once there is room.
 
         Raises:
-            RecognizerError: the recognizer failed on the one before.
+            RecognizerError: the recognizer failed on one before; those until then are in the graph.
         """
-        self.settle()
+        if len(self._in_line) == _ROOM:
+            self._first_in_line()
         # A copy: cameras reuse their memory.
-        self._underway = self._thread.submit(self._take, keyframe, links, rgb.copy())
+        self._in_line.append(self._thread.submit(self._take, keyframe, links, rgb.copy()))
 
     def settle(self) -> tuple[LoopAttempt, ...]:
-        """Wait for the keyframe that is being worked on and return its loop candidates.
+        """Wait for all keyframes in line and return the loop candidates of the last one.
 
         Raises:
-            RecognizerError: the recognizer failed on it; it is not in the graph.
+            RecognizerError: the recognizer failed on one; those until then are in the graph.
         """
-        underway, self._underway = self._underway, None
-        return underway.result() if underway else ()
+        attempts: tuple[LoopAttempt, ...] = ()
+        while self._in_line:
+            attempts = self._first_in_line()
+        return attempts
 
     def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
         """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
@@ -112,7 +119,7 @@ class BackEnd:
 
         Raises:
             SlamError: there is no keyframe yet, or its part of the map is not joined to the rest.
-            RecognizerError: the recognizer failed on the last keyframe; without it, ask again.
+            RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
         with self._clock.stage("graph"):
@@ -126,7 +133,7 @@ class BackEnd:
                 largest; default: one of each.
 
         Raises:
-            RecognizerError: the recognizer failed on the last keyframe; without it, ask again.
+            RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
         with self._clock.stage("graph"):
@@ -147,14 +154,23 @@ class BackEnd:
         """Return what the recognizer was calibrated on beside what it met, where it says so."""
         return self._loop_closer.calibration()
 
+    def _first_in_line(self) -> tuple[LoopAttempt, ...]:
+        try:
+            return self._in_line.popleft().result()
+        except RecognizerError:
+            self._in_line.clear()  # they end the same way, which nobody has to hear twice
+            raise
+
     def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
         return dict.fromkeys(range(len(self.keyframes)), 1) if frames is None else frames
 
     def _take(
         self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
     ) -> tuple[LoopAttempt, ...]:
+        if self._failure:
+            raise self._failure
         with self._clock.stage("describe"):
-            embedding = self._loop_closer.describe(rgb)
+            embedding = self._describe(rgb)
         with self._clock.stage("close loops"):
             linked_ids = [link.ref_id for link in links]
             attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
@@ -163,6 +179,13 @@ class BackEnd:
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
         return attempts
+
+    def _describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        try:
+            return self._loop_closer.describe(rgb)
+        except RecognizerError as failure:
+            self._failure = failure
+            raise
 
 
 def _unjoined(attempt: LoopAttempt, agreeing: int) -> LoopAttempt:

@@ -12,6 +12,20 @@ _LOOP_RADIUS_PX, _LOOP_COMPANY = 8.0, 5
 _ADJUSTED_RADIUS_PX, _ADJUSTED_COMPANY = 3.0, 15
 _ROUNDS = (5, 5, 10)
 
+MOST_KEYFRAMES = 500
+"""What is adjusted at once. The work grows with the square of how often a place is seen again, and
+stretch by stretch, each held in place by those around it, nothing is gained over the pose graph."""
+
+
+def too_large(keyframes: int) -> tuple[str, ...]:
+    """Return a sentence if so many keyframes are more than can be adjusted at once, else none."""
+    if keyframes <= MOST_KEYFRAMES:
+        return ()
+    return (
+        f"{keyframes} keyframes are more than the {MOST_KEYFRAMES} that can be adjusted at once, so"
+        " their poses are as the pose graph left them",
+    )
+
 
 def closed_map(
     the_map: LandmarkMap,

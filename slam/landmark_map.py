@@ -148,8 +148,8 @@ class LandmarkMap:
         """Return the keyframes that see any of the landmarks, those that see most first."""
         observers = self.landmarks.observers[ids]
         shared = np.bincount(observers[observers != UNSEEN])
-        order = np.lexsort((-np.arange(len(shared)), -shared))
-        return [int(k) for k in order if shared[k]]
+        who = np.flatnonzero(shared)
+        return [int(k) for k in who[np.lexsort((-who, -shared[who]))]]
 
     def shared_features(self, a: int, b: int) -> IntArray:
         """Return (M, 2), pairs of features of two keyframes that show the same landmark."""

@@ -11,6 +11,7 @@ IntArray = NDArray[np.int64]
 UNSEEN = -1
 """What stands for no landmark, and for no keyframe, among their ids."""
 _OBSERVERS = 8  # keyframes remembered per landmark; more would not change the company it is in
+_SPARE_ROWS = 1 << 15
 
 
 class Landmarks:
@@ -48,7 +49,7 @@ class Landmarks:
         ids = np.arange(self._count, self._count + len(positions_m))
         self._count += len(positions_m)
         if self._count > len(self.is_alive):
-            self._grow(2 * self._count)
+            self._grow(self._count + _SPARE_ROWS)
         self.positions_m[ids] = positions_m
         self.observers[ids] = UNSEEN
         self.first_keyframe[ids] = keyframe_id
@@ -56,13 +57,18 @@ class Landmarks:
         self._merged_into[ids] = ids
         return ids
 
-    def _grow(self, size: int) -> None:
-        # Room for as many again: the cost of copying does not grow with their number.
-        for name, column in vars(self).items():
-            if isinstance(column, np.ndarray):
-                grown = np.zeros((size, *column.shape[1:]), column.dtype)
-                grown[: len(column)] = column
-                setattr(self, name, grown)
+    def _grow(self, rows: int) -> None:
+        # In place the system moves pages instead of bytes, so that a large map need not hold up
+        # the camera. That takes columns which nobody looks at.
+        columns = [name for name, value in vars(self).items() if isinstance(value, np.ndarray)]
+        for name in columns:
+            shape = (rows, *getattr(self, name).shape[1:])
+            try:
+                getattr(self, name).resize(shape)
+            except ValueError:
+                column = getattr(self, name)
+                more = np.zeros((rows - len(column), *shape[1:]), column.dtype)
+                setattr(self, name, np.concatenate([column, more]))
 
     def see(
         self,

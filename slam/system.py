@@ -11,7 +11,7 @@ from slam.atlas import tied
 from slam.back_end import BackEnd, ClosedLoops
 from slam.config import Config
 from slam.features import FeatureExtractor
-from slam.final_map import closed_map
+from slam.final_map import closed_map, too_large
 from slam.frame_checks import check_frame, checked_pose
 from slam.odometry import RgbdOdometry, TrackedFrame
 from slam.preview import preview
@@ -134,8 +134,8 @@ class Slam:
         Raises:
             SlamError: there is no keyframe yet, or nothing tells where the camera is since it was
                 lost.
-            RecognizerError: the recognizer failed on the last keyframe; what was done until then
-                can be finished.
+            RecognizerError: the recognizer failed on one of the last keyframes; what was done until
+                then can be finished.
         """
         return self._back_end.T_world_odom(self._rides.per_keyframe())
 
@@ -144,7 +144,7 @@ class Slam:
 
         Raises:
             SlamError: no frame could be tracked.
-            RecognizerError: the recognizer failed on the only keyframe.
+            RecognizerError: the recognizer failed on the first keyframe.
         """
         failures = self._last_failure()
         keyframes = tuple(self._back_end.keyframes)
@@ -155,10 +155,12 @@ class Slam:
             )
         loops = self._back_end.solve(self._rides.per_keyframe())
         T_world_kf = loops.T_world_kf
+        unadjusted = too_large(len(keyframes)) if self._door == "process" else ()
         if self._door == "process":
             keyframes = self._where_tracking_put(keyframes)
-            with self.clock.stage("adjust"):
-                T_world_kf = self._adjusted(loops)
+            if not unadjusted:
+                with self.clock.stage("adjust"):
+                    T_world_kf = self._adjusted(loops)
         keyframes = tied(keyframes, loops.links)
         has_place = np.isfinite(T_world_kf)
         T_odom_kf = np.array([each.T_odom_cam for each in keyframes])
@@ -178,6 +180,7 @@ class Slam:
             warnings=(
                 *failures,
                 *self._rides.warnings(T_world_kf),
+                *unadjusted,
                 *loops.warnings,
                 *(calibration.warnings if calibration else ()),
             ),
@@ -192,7 +195,8 @@ class Slam:
         except RecognizerError as error:
             if not self._back_end.keyframes:
                 raise
-            return (f"the last keyframe is left out: {error}",)
+            left_out = f"all from keyframe {len(self._back_end.keyframes)} on"
+            return (f"{left_out} is left out: {error}",)
         return ()
 
     def _where_tracking_put(self, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:

@@ -58,7 +58,8 @@ class PoseGraph:
         self._weights: dict[int, float] = {}  # of the loops weighed so far
         self._chain = gtsam.Values()  # poses by odometry alone, where every robust solve starts
         self._values = gtsam.Values()  # the best poses so far
-        self._restart(self._values)
+        self._isam: gtsam.ISAM2 | None = None  # None where other loops hold than it knows
+        self._clear_new()
 
     def add_keyframe(self, keyframe_id: int, T_world_kf_guess: FloatArray) -> None:
         """Add a keyframe at a (4, 4) guess of its pose, in metres; then tie it by links.
@@ -71,9 +72,7 @@ class PoseGraph:
         guess = gtsam.Pose3(T_world_kf_guess)
         if not self._ids:
             self._chain.insert(keyframe_id, guess)
-            anchor = gtsam.PriorFactorPose3(keyframe_id, guess, _ANCHOR_NOISE)
-            self._odometry.add(anchor)
-            self._new_factors.add(anchor)
+            self._odometry.add(gtsam.PriorFactorPose3(keyframe_id, guess, _ANCHOR_NOISE))
         self._ids.append(keyframe_id)
         self._values.insert(keyframe_id, guess)
         self._new_values.insert(keyframe_id, guess)
@@ -123,11 +122,9 @@ class PoseGraph:
         self._check_tied()
         waiting = len(self._loops) - len(self._weights)
         if waiting > _LOOP_GROWTH * len(self._weights):
-            self._restart(self._weigh(*self._whole(), (SUPER_LINEAR,)).values)
+            self._start_from(self._weigh(*self._whole(), (SUPER_LINEAR,)).values)
         elif self._new_values.size() or self._new_factors.size():
-            self._isam.update(self._new_factors, self._new_values)
-            self._clear_new()
-            self._values = self._isam.calculateEstimate()
+            self._follow()
 
     def finish(self) -> GraphSolution:
         """Weigh all loops once more with every means, polish, and say what there is to doubt.
@@ -145,7 +142,7 @@ class PoseGraph:
             contested = contested_motions(graph, self._chain, doubted, solution)
             weights = np.array(list(self._weights.values()))
             warnings = doubts(weights > MIN_TRUSTED_WEIGHT, contested[len(self._side_links) :])
-        self._restart(optimize(self._trusted(), values))
+        self._start_from(optimize(self._trusted(), values))
         poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
         return GraphSolution(poses, dict(self._weights), warnings)
 
@@ -186,17 +183,23 @@ class PoseGraph:
                 graph.add(self._loops[key])
         return graph
 
-    def _restart(self, values: gtsam.Values) -> None:
-        """Let the incremental solver go on from these poses with the loops that hold now."""
-        params = gtsam.ISAM2Params()
-        params.setFactorization("QR")  # the default, Cholesky, fails on ill-conditioned graphs
-        params.relinearizeSkip = 1
-        params.setRelinearizeThreshold(0.01)
-        self._isam = gtsam.ISAM2(params)
-        self._values = values
+    def _start_from(self, values: gtsam.Values) -> None:
+        """Take these poses, found with the loops that hold now; the incremental solver is stale."""
+        self._values, self._isam = values, None
         self._clear_new()
-        if self._ids:
-            self._isam.update(self._trusted(), values)
+
+    def _follow(self) -> None:
+        """Let the incremental solver add what is new."""
+        if self._isam is None:
+            params = gtsam.ISAM2Params()
+            params.setFactorization("QR")  # the default, Cholesky, fails on ill-conditioned graphs
+            params.relinearizeSkip = 1
+            params.setRelinearizeThreshold(0.01)
+            self._isam = gtsam.ISAM2(params)
+            self._new_factors, self._new_values = self._trusted(), self._values
+        self._isam.update(self._new_factors, self._new_values)
+        self._clear_new()
+        self._values = self._isam.calculateEstimate()
 
     def _clear_new(self) -> None:
         self._new_values = gtsam.Values()

@@ -33,11 +33,13 @@ class Gate(GradientRecognizer):
     def __init__(self):
         self.is_open = threading.Event()
         self.is_open.set()
-        self.is_broken = False
+        self.asked = 0
+        self.fails_at = 0
 
     def embed(self, image):
         assert self.is_open.wait(10.0)
-        return np.full(496, np.nan) if self.is_broken else super().embed(image)
+        self.asked += 1
+        return np.full(496, np.nan) if self.asked == self.fails_at else super().embed(image)
 
 
 def back_end(recognizer, **loop):
@@ -154,14 +156,51 @@ def _counted(method, calls):
     return counting
 
 
-def test_a_failure_is_told_by_whoever_waits_next(keyframes):
-    gate = Gate()
+def test_a_few_keyframes_may_stand_in_line_and_no_more(keyframes):
+    gate, is_done = Gate(), threading.Event()
     behind = back_end(gate)
-    behind.insert(keyframes[0][0], (), keyframes[0][1])
+    first, rgb = keyframes[0]
+
+    def insert(ids):
+        for k in ids:
+            keyframe = replace(first, id=k)
+            behind.insert(keyframe, links(keyframe), rgb)
+
+    def insert_more():
+        insert(range(8, 12))
+        is_done.set()
+
+    gate.is_open.clear()
+    insert(range(8))
+    waiting = threading.Thread(target=insert_more)
+    waiting.start()
+    assert not is_done.wait(0.05) and behind.keyframes == []
+    gate.is_open.set()
+    assert is_done.wait(10.0)
     behind.settle()
-    gate.is_broken = True
-    behind.insert(keyframes[1][0], links(keyframes[1][0]), keyframes[1][1])
+    assert [each.id for each in behind.keyframes] == list(range(12))
+
+
+def test_after_a_failure_nothing_is_taken_in_and_whoever_asks_next_is_told(keyframes):
+    gate = Gate()
+    gate.fails_at = 3
+    behind = back_end(gate)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
     with pytest.raises(RecognizerError, match="NaN"):
-        behind.insert(keyframes[2][0], links(keyframes[2][0]), keyframes[2][1])
+        behind.settle()
     assert behind.settle() == ()
-    assert len(behind.solve().T_world_kf) == 1
+    assert [each.id for each in behind.keyframes] == [0, 1]
+    assert len(behind.solve().T_world_kf) == 2
+
+
+def test_who_has_to_wait_for_room_is_told_of_a_failure(keyframes):
+    gate = Gate()
+    gate.fails_at = 1
+    behind = back_end(gate)
+    keyframe, rgb = keyframes[0]
+    for _ in range(8):
+        behind.insert(keyframe, (), rgb)
+    with pytest.raises(RecognizerError, match="NaN"):
+        behind.insert(keyframe, (), rgb)
+    assert behind.is_empty

@@ -25,6 +25,19 @@ def test_rows_stay_where_they_are_while_the_table_grows():
     assert table.is_alive[:805].all()
 
 
+def test_who_looks_at_a_column_while_the_table_grows_keeps_what_he_sees():
+    table, first = table_of(5)
+    looked_at = table.positions_m[first[0] : first[-1] + 1]
+    before = looked_at.copy()
+    while len(table.positions_m) < 100_000:
+        table.add(np.zeros((20_000, 3)), 1)
+    np.testing.assert_array_equal(looked_at, before)
+    np.testing.assert_array_equal(table.positions_m[first], before)
+    assert {len(column) for column in vars(table).values() if np.ndim(column)} == {
+        len(table.is_alive)
+    }
+
+
 def test_a_landmark_looks_as_the_latest_keyframe_saw_it():
     table, ids = table_of(3)
     see(table, ids, 4, octave=2)

@@ -11,7 +11,7 @@ from placerec.calibration import calibrate
 from placerec.datasets import PlaceDataset
 from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
-from slam import atlas, se3
+from slam import atlas, final_map, se3
 from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig
 from slam.drift import compare_drift, trajectory_error
 from slam.odometry import TrackedFrame
@@ -199,6 +199,18 @@ def test_finish_may_be_asked_for_more_than_once(frames):
         slam.process(frame)
     second = slam.finish()
     assert len(first.trajectory) == 10 and len(second.trajectory) == 20
+
+
+def test_a_run_too_long_to_be_adjusted_has_the_poses_of_the_graph_and_says_so(
+    frames, result, monkeypatch
+):
+    monkeypatch.setattr(final_map, "MOST_KEYFRAMES", len(result.keyframes) - 1)
+    longer = run(frames)
+    (warning,) = longer.warnings
+    assert warning.startswith(f"{len(result.keyframes)} keyframes are more than")
+    assert "adjust" not in longer.stage_seconds
+    np.testing.assert_allclose(longer.T_world_kf, result.T_world_kf, atol=0.03)
+    assert (longer.T_world_kf != result.T_world_kf).any()
 
 
 def test_poses_from_elsewhere_are_corrected_by_loops(drifting, sequence):

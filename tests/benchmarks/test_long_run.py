@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam import se3
+from slam.types import Camera
+
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "long_run.py"
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    spec = importlib.util.spec_from_file_location("benchmark_of_long_runs", BENCHMARK)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run(benchmark):
+    def make(frames: int, late_s: float = 0.01):
+        frame_s = np.where(np.arange(frames) < 2000, 0.01, late_s)
+        frame_s[700] = 0.25
+        return benchmark.Run(
+            frame_s=frame_s,
+            cpu_s=2.0 * frame_s,
+            memory_mb=0.1 * np.arange(frames),
+            keyframes=np.arange(frames) // 10 + 1,
+            query_s=np.full(frames // 10, 5e-4),
+            finish_s=12.34,
+            peak_memory_mb=999.0,
+            untracked=3,
+            loops=40,
+            false_loops=1,
+            ate_m=(0.1, 0.01),
+        )
+
+    return make
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {first: rest for first, *rest in cells}
+
+
+def test_a_lap_is_closed_and_smooth(benchmark):
+    T_world_cam = benchmark.lap(np.arange(181) / 180)
+    np.testing.assert_allclose(T_world_cam[180], T_world_cam[0], atol=1e-12)
+    R = T_world_cam[:, :3, :3]
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (181, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    step = se3.inverse(T_world_cam[:-1]) @ T_world_cam[1:]
+    assert se3.translation_norm(step).max() < 0.04
+    assert np.degrees(se3.rotation_angle(step)).max() < 3.0
+
+
+def test_growth_is_between_frame_1000_and_the_last_1000(run):
+    assert run(5000).growth(run(5000).frame_s, np.median) == pytest.approx(1.0)
+    slower = run(5000, late_s=0.03)
+    assert slower.growth(slower.frame_s, np.median) == pytest.approx(3.0)
+
+
+def test_the_table_has_a_column_per_run(benchmark, run):
+    found = rows(benchmark.table([run(3000), run(6000, late_s=0.02)]))
+    assert found["frames"] == ["3000", "6000"]
+    assert found["keyframes"] == ["300", "600"]
+    assert found["ms per frame around frame 1,000"] == ["10.00", "10.00"]
+    assert found["their ratio"] == ["1.00", "2.00"]
+    assert found["longest frame, ms"] == ["250", "250"]
+    assert found["MB per keyframe"] == ["1.00", "1.00"]
+    assert found["ms per loop query at the end"] == ["0.50", "0.50"]
+    assert found["loops kept"] == ["40, 1 of them false"] * 2
+    assert found["ATE, m: odometry → corrected"] == ["0.1000 → 0.0100"] * 2
+
+
+def test_too_short_a_run_is_refused(benchmark, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        benchmark.main(["--frames", "500", "--out", str(tmp_path)])
+    assert "--frames 500: more than 500 are needed" in capsys.readouterr().err
+
+
+def test_laps_are_run_measured_and_drawn(benchmark, tmp_path, monkeypatch):
+    monkeypatch.setattr(benchmark, "CAMERA", Camera(160, 120, 131.25, 131.25, 79.5, 59.5))
+    monkeypatch.setattr(benchmark, "EARLY", slice(20, 40))
+    run = benchmark.measure(60, "gradients")
+    assert run.untracked == run.false_loops == 0
+    assert (np.diff(run.keyframes) >= 0).all() and 5 < run.keyframes[-1] < 30
+    assert len(run.query_s) == run.keyframes[-1]
+    assert min(run.frame_s.min(), run.cpu_s.sum(), run.finish_s) > 0.0
+    assert max(run.ate_m) < 0.05
+    assert run.peak_memory_mb >= run.memory_mb[-1]
+    assert rows(benchmark.table([run]))["frames"] == ["60"]
+    benchmark.draw([run], tmp_path / "long_run.svg")
+    assert "<svg" in (tmp_path / "long_run.svg").read_text()
+    assert (tmp_path / "long_run.png").read_bytes().startswith(b"\x89PNG")
