@@ -165,6 +165,7 @@ def measure(frames: int, recognizer: str) -> Run:
     frame_s, cpu_s, memory_mb = np.empty((3, frames))
     keyframes = np.zeros(frames, dtype=np.int64)
     gc.collect()
+    gc.freeze()  # as run_slam does
     before_mb = memory_in_use_mb()
     for i in tqdm(range(frames), desc="tracking", unit=" frames", mininterval=1.0):
         frame = film.frame(i)

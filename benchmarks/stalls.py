@@ -119,6 +119,8 @@ class Stopwatch:
 
 def calls_of_a_run(sequence: Sequence, recognizer: PlaceRecognizer) -> list[Call]:
     """Run the pipeline to its end and return its calls."""
+    gc.collect()
+    gc.freeze()  # as run_slam does
     stopwatch, calls = Stopwatch(), []
     slam = Slam(sequence.camera, recognizer)
     with stopwatch.attached():

@@ -18,6 +18,7 @@ will do. A Kinect or Xtion through OpenCV, where that was built with OpenNI 2, w
 """
 
 import argparse
+import gc
 import json
 import sys
 import time
@@ -139,7 +140,10 @@ def recorded(frames: Iterable[Frame], camera: Camera, folder: Path) -> Iterator[
 
 def run(camera: Camera, frames: Iterable[Frame]) -> SlamResult:
     """Track frame by frame until there are no more, or Ctrl-C, and print what becomes of them."""
-    slam = Slam(camera, load("learned"))
+    recognizer = load("learned")
+    gc.collect()
+    gc.freeze()  # no search for garbage in all that is loaded by now while the camera runs
+    slam = Slam(camera, recognizer)
     is_lost = False
     with deferred_interrupts() as interrupted:  # Ctrl-C waits for the frame to be finished
         for frame in frames:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `run_slam` command: read a sequence, run the pipeline, write the run's folder."""
 
+import gc
 import sys
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
@@ -53,6 +54,9 @@ def _run(arguments: Arguments) -> None:
     folder = arguments.out or Path("runs") / arguments.title
     sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
     make_run_folder(folder)
+    # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
+    gc.collect()
+    gc.freeze()
     slam = Slam(sessions.camera, recognizer, arguments.settings)
     stopped = _process(slam, sessions)
     if stopped and not slam.has_keyframes:
