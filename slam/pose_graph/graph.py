@@ -21,6 +21,9 @@ _ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
 # While running, loops wait until there are this many more of them than at the last robust solve:
 # the total cost then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
+# The linear schedule is for small maps, and takes minutes with 10,000 motions where the other takes
+# one: above so many it is left out.
+_MOST_FOR_LINEAR = 3000
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,9 @@ class PoseGraph:
         warnings: tuple[str, ...] = ()
         if self._loops or self._side_links:
             graph, doubted = self._whole()
-            solution = self._weigh(graph, doubted, (SUPER_LINEAR, LINEAR))
+            is_large = len(doubted) > _MOST_FOR_LINEAR
+            schedules = (SUPER_LINEAR,) if is_large else (SUPER_LINEAR, LINEAR)
+            solution = self._weigh(graph, doubted, schedules)
             values = solution.values
             contested = contested_motions(graph, self._chain, doubted, solution)
             weights = np.array(list(self._weights.values()))

@@ -8,6 +8,7 @@ import pytest
 from slam import se3
 from slam.config import GraphConfig
 from slam.pose_graph import GraphSolution, PoseGraph
+from slam.pose_graph.robust import solve_robustly
 from slam.types import FloatArray, Link, RelativePose, SlamError
 
 KEYFRAMES_PER_ROUND = 30
@@ -233,3 +234,20 @@ def test_two_runs_give_the_same_bytes(walk: Walk) -> None:
         graph.update()
         digests.add(hashlib.sha256(graph.finish().T_world_kf.tobytes()).hexdigest())
     assert len(digests) == 1
+
+
+@pytest.mark.parametrize(("most", "schedules"), [(KEYFRAMES_PER_ROUND - 1, 1), (1000, 2)])
+def test_a_large_map_is_weighed_by_the_quick_schedule_alone(walk, monkeypatch, most, schedules):
+    asked = []
+
+    def weigh(graph, initial, doubted, probability, schedules):
+        asked.append(len(schedules))
+        return solve_robustly(graph, initial, doubted, probability, schedules)
+
+    monkeypatch.setattr("slam.pose_graph.graph._MOST_FOR_LINEAR", most)
+    monkeypatch.setattr("slam.pose_graph.graph.solve_robustly", weigh)
+    graph = walk.graph()
+    true_keys, _ = close(graph, walk)
+    weights = graph.finish().weights
+    assert asked == [schedules]
+    assert np.mean([weights[key] > 0.9 for key in true_keys]) >= 0.8
