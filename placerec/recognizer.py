@@ -34,8 +34,8 @@ class PlaceRecognizer(Protocol):
 
     A method that compares by something other than one dot product has a method
     `compare(queries, references)`. It takes (Q, *S) and (R, *S) float32 embeddings, each in the
-    order in which they were seen, and returns (Q, R) float32 similarities from -1 to 1: larger is
-    more alike, an image with itself 1. `embed` may then return a finite array of any shape S,
+    order in which they were seen, leaves them as they are, and returns (Q, R) float32 similarities
+    from -1 to 1: larger is more alike. `embed` may then return a finite array of any shape S,
     always the same. While a map is made, the queries are the latest embeddings and the last row of
     the answer is used: the 32 before it come along for methods that compare sequences, or as many
     as `looks_back: int` says, which makes comparing faster where it is 0.
