@@ -2,7 +2,7 @@
 """What a recognizer learned from images without labels, as one file that says whose it is."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -21,7 +21,9 @@ from placerec.recognizer import (
     WEIGHTS_SUFFIX,
     PlaceRecognizer,
     RecognizerError,
+    cause_of,
     find,
+    imported,
 )
 
 METADATA_KEY = "placerec.fitted"
@@ -81,15 +83,29 @@ def write_fitted(path: Path, recognizer: str, fitted: Fitted) -> None:
     """Write what a recognizer, known by its installed name, learned; the same, the same bytes.
 
     Raises:
-        RecognizerError: the file cannot be written.
+        RecognizerError: a file cannot hold it, it has values that are not finite, or the file
+            cannot be written.
     """
-    description = _Description(
-        recognizer=recognizer,
-        min_similarity=fitted.min_similarity,
-        trained_on=fitted.trained_on,
-        facts=dict(sorted(fitted.facts.items())),
-    )
     content = {name: np.ascontiguousarray(array) for name, array in fitted.arrays.items()}
+    for name, array in content.items():
+        if not np.isfinite(array).all():
+            raise RecognizerError(
+                f"what {recognizer} learned has values in {name!r} that are NaN or infinite; "
+                f"give more images, or others: {path}"
+            )
+    try:
+        description = _Description(
+            recognizer=recognizer,
+            min_similarity=fitted.min_similarity,
+            trained_on=fitted.trained_on,
+            facts=dict(sorted(fitted.facts.items())),
+        )
+    except ValidationError as error:
+        (first, *_) = error.errors()
+        what = ".".join(map(str, first["loc"]))
+        raise RecognizerError(
+            f"{what} = {first['input']!r} cannot be kept in a file: {first['msg']}: {path}"
+        ) from error
     write_atomically(path, save(content, {METADATA_KEY: description.model_dump_json()}))
 
 
@@ -107,7 +123,7 @@ def read_fitted(path: Path, recognizer: str) -> Fitted:
             description = _Description.model_validate_json((file.metadata() or {})[METADATA_KEY])
             names = file.keys()
             arrays = {name: file.get_tensor(name) for name in names}
-    except (OSError, SafetensorError, KeyError, ValidationError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValidationError) as error:
         raise RecognizerError(f"not a whole file of {recognizer}; {remedy}: {path}") from error
     if description.recognizer != recognizer:
         raise RecognizerError(
@@ -129,12 +145,20 @@ def open_recognizer(path: Path) -> PlaceRecognizer:
     """Return the recognizer whose file it is: a trained network, or one with what it learned.
 
     Raises:
-        RecognizerError: the file cannot be read, or its recognizer is not installed.
+        RecognizerError: the file cannot be read, its recognizer is not installed or cannot be
+            imported, or cannot be constructed with it.
     """
     owner = owner_of(path)
     network = EntryPoint(name=str(path), value=NETWORK_READER, group=ENTRY_POINT_GROUP)
-    reader = network if owner is None else find(owner)
-    return cast(PlaceRecognizer, reader.load()(path))
+    reader = imported(network if owner is None else find(owner), f"the recognizer of {path.name}")
+    try:
+        return cast(Callable[[Path], PlaceRecognizer], reader)(path)
+    except RecognizerError:
+        raise
+    except Exception as error:
+        raise RecognizerError(
+            f"the file says it is of {owner}, and does not fit: {cause_of(error)}: {path}"
+        ) from error
 
 
 def keep_calibration(path: Path, recognizer: str, certificate: Certificate) -> Path:

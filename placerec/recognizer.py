@@ -34,8 +34,8 @@ class PlaceRecognizer(Protocol):
 
     A method that compares by something other than one dot product has a method
     `compare(queries, references)`. It takes (Q, *S) and (R, *S) float32 embeddings, each in the
-    order in which they were seen, and returns (Q, R) float32 similarities from -1 to 1: larger is
-    more alike, an image with itself 1. `embed` may then return a finite array of any shape S,
+    order in which they were seen, leaves them as they are, and returns (Q, R) float32 similarities
+    from -1 to 1: larger is more alike. `embed` may then return a finite array of any shape S,
     always the same. While a map is made, the queries are the latest embeddings and the last row of
     the answer is used: the 32 before it come along for methods that compare sequences, or as many
     as `looks_back: int` says, which makes comparing faster where it is 0.
@@ -72,16 +72,13 @@ def load(name: str) -> PlaceRecognizer:
         return cast(PlaceRecognizer, reader(Path(name)))
     entry = find(name)
     title = _title(name, entry)
-    try:
-        make = entry.load()
-    except Exception as error:
-        raise RecognizerError(f"{title} cannot be imported: {_cause(error)}") from error
+    make = imported(entry, title)
     if not callable(make):
         raise RecognizerError(f"{title} is a {type(make).__name__}; name a class or a function")
     try:
         recognizer = cast(Callable[[], object], make)()
     except Exception as error:
-        raise RecognizerError(f"{title} cannot be constructed: {_cause(error)}") from error
+        raise RecognizerError(f"{title} cannot be constructed: {cause_of(error)}") from error
     return _with_members(recognizer, title)
 
 
@@ -102,6 +99,26 @@ def find(name: str) -> EntryPoint:
         owners = " and ".join(sorted(entry.dist.name if entry.dist else "?" for entry in found))
         raise RecognizerError(f"recognizer {name!r} is claimed by {owners}; uninstall all but one")
     return found[0]
+
+
+def imported(entry: EntryPoint, title: str) -> object:
+    """Return what an entry point names; the title is what errors call it.
+
+    Raises:
+        RecognizerError: it cannot be imported.
+    """
+    try:
+        return cast(object, entry.load())
+    except Exception as error:
+        raise RecognizerError(f"{title} cannot be imported: {cause_of(error)}") from error
+
+
+def cause_of(error: Exception) -> str:
+    """Return an exception as one line."""
+    text = " ".join(str(error).split())
+    if isinstance(error, RecognizerError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 class CheckedRecognizer:
@@ -142,7 +159,7 @@ class CheckedRecognizer:
         try:
             answer = self._recognizer.embed(image)
         except Exception as error:
-            raise RecognizerError(f"{self._title} failed: {_cause(error)}") from error
+            raise RecognizerError(f"{self._title} failed: {cause_of(error)}") from error
         values = self._array(answer)
         return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
 
@@ -157,7 +174,7 @@ class CheckedRecognizer:
         try:
             answer = self._comparer.compare(queries, references)
         except Exception as error:
-            raise RecognizerError(f"{self._title} failed to compare: {_cause(error)}") from error
+            raise RecognizerError(f"{self._title} failed to compare: {cause_of(error)}") from error
         if flaw := flaw_in(answer, (len(queries), len(references))):
             self._refuse(flaw)
         return np.clip(np.asarray(answer, np.float32), -1.0, 1.0)
@@ -231,11 +248,3 @@ def _with_members(recognizer: object, title: str) -> PlaceRecognizer:
     if not hasattr(recognizer, "min_similarity"):
         raise RecognizerError(f"{title} has no attribute min_similarity")
     return cast(PlaceRecognizer, recognizer)
-
-
-def _cause(error: Exception) -> str:
-    """Return an exception as one line."""
-    text = " ".join(str(error).split())
-    if isinstance(error, RecognizerError):
-        return text
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -31,7 +31,7 @@ from placerec.recognizer import RecognizerError
 NAME = "netvlad"
 SHIPPED = shipped(NAME)
 PUBLISHED = Layer(
-    # The last convolution before its ReLU, in files named netvlad... of the layout that PyTorch
+    # The last convolution before its ReLU, in files named ...netvlad... of the layout that PyTorch
     # implementations share: encoder.N, pool.conv, pool.centroids and, in some, WPCA.0.
     replace(
         VGG16,
@@ -54,9 +54,8 @@ WORDS_FROM, WHITENED_FROM = 300, 4096
 class NetVlad:
     """A network's local features, told by how they differ from words; the cosine compares.
 
-    Runs on published weights, a file whose name begins with netvlad, where these are on the
-    machine, and else on a trunk that was trained on ImageNet with words found by k-means; `weights`
-    says which.
+    Runs on published weights, a file with netvlad in its name, where these are on the machine, and
+    else on a trunk that was trained on ImageNet with words found by k-means; `weights` says which.
 
     Attributes:
         min_similarity: of the words; 1 % of the pairs of images of different validation floors of

@@ -16,7 +16,13 @@ from placerec.commands.data import open_images, progress_bar
 from placerec.datasets import PlaceDataset
 from placerec.embedded_images import Progress
 from placerec.fitted_file import Fitted, write_fitted
-from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, find
+from placerec.recognizer import (
+    WEIGHTS_SUFFIX,
+    RecognizerError,
+    cause_of,
+    find,
+    imported,
+)
 
 Fit = Callable[[Sequence[NDArray[np.uint8]], int], Fitted]
 """A class method: it takes (H, W, 3) uint8 RGB images, decoded when they are asked for, and a seed.
@@ -46,31 +52,47 @@ def fit(
         seed: what all draws come from.
     """
     path = Path(f"{recognizer}{WEIGHTS_SUFFIX}") if out is None else out
-    if path.suffix != WEIGHTS_SUFFIX or not data:
-        what = f"a FILE that ends in {WEIGHTS_SUFFIX}" if data else "at least one folder of images"
-        raise RecognizerError(f"fit needs {what}; see --help: {path}")
-    made = _class_of(recognizer)
+    # All that may be wrong with what was asked is found before the long work.
+    _refuse(recognizer, data, path, seed)
+    made = imported(find(recognizer), f"recognizer {recognizer!r}")
     learn = cast(Fit | None, getattr(made, "fit", None))
     if learn is None:
         raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
     datasets = [open_images(source) for source in data]
     count = sum(len(dataset) for dataset in datasets)
     with progress_bar(f"fitting {recognizer}", count) as progress:
-        fitted = learn(_Images(datasets, progress), seed)
+        fitted = _learned(recognizer, learn, _Images(datasets, progress), seed)
     names = tuple(dataset.name for dataset in datasets)
-    threshold = float(made.min_similarity)
+    threshold: Any = getattr(made, "min_similarity", None)
     write_fitted(path, recognizer, replace(fitted, trained_on=names, min_similarity=threshold))
     print(f"learned from {count} images of {', '.join(names)}\nwritten to {path}, not calibrated")
     return 0
 
 
-def _class_of(name: str) -> Any:
-    entry = find(name)
+def _refuse(recognizer: str, data: Sequence[str], out: Path, seed: int) -> None:
+    for is_wrong, what in (
+        (":" in recognizer, "an installed NAME, for a file must not name code to run"),
+        (out.suffix != WEIGHTS_SUFFIX, f"a FILE that ends in {WEIGHTS_SUFFIX}"),
+        (not out.parent.is_dir(), "a FILE in a folder that is there"),
+        (not data, "at least one folder of images"),
+        (seed < 0, f"a seed that is not negative, as {seed} is"),
+    ):
+        if is_wrong:
+            raise RecognizerError(f"fit needs {what}; see --help: {out}")
+
+
+def _learned(recognizer: str, learn: Fit, images: "_Images", seed: int) -> Fitted:
     try:
-        return entry.load()
+        fitted: object = learn(images, seed)
+    except RecognizerError:
+        raise
     except Exception as error:
-        why = " ".join(f"{type(error).__name__}: {error}".split())
-        raise RecognizerError(f"recognizer {name!r} cannot be imported: {why}") from error
+        why = cause_of(error)
+        raise RecognizerError(f"recognizer {recognizer!r} failed to learn: {why}") from error
+    if not isinstance(fitted, Fitted):
+        kind = type(fitted).__name__
+        raise RecognizerError(f"recognizer {recognizer!r} learned a {kind}; fit returns a Fitted")
+    return fitted
 
 
 class _Images(Sequence[NDArray[np.uint8]]):

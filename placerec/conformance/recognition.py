@@ -14,6 +14,7 @@ from placerec.conformance.subject import Subject
 from placerec.recognizer import CheckedRecognizer
 
 SIMILARITIES = "similarities from -1 to 1"
+ALONE = "leaves embeddings alone"
 ITSELF = "an image itself"
 TIE = 1e-6
 """Places less apart than this are one to the recognizer, and none of them is found."""
@@ -24,13 +25,22 @@ ROUNDING = 1e-5
 def _similarities(subject: Subject) -> Outcome:
     embeddings = np.stack(subject.embeddings)
     # Fewer queries than references: whoever takes the one for the other is found out.
-    queries = embeddings[1:]
+    queries = embeddings[1:].copy()
     answer: object = subject.comparer.compare(queries, embeddings)
     flaw = flaw_in(answer, (len(queries), len(embeddings)))
     if flaw:
         return judged(False, flaw)
     values = np.asarray(answer)
     return judged(True, f"{values.size} of them, {values.min():.3f} to {values.max():.3f}")
+
+
+def _leaves_embeddings(subject: Subject) -> Outcome:
+    references = np.stack(subject.embeddings)
+    queries = references[1:].copy()
+    subject.comparer.compare(queries, references)
+    before = np.stack(subject.embeddings)
+    changed = int((references != before).sum() + (queries != before[1:]).sum())
+    return judged(changed == 0, f"{changed} values changed")
 
 
 def _one_by_one(subject: Subject) -> Outcome:
@@ -81,20 +91,26 @@ CHECKS = (
     Check(
         SIMILARITIES,
         _similarities,
-        "compare(queries, references) returns (Q, R): more alike is larger, 1 is the same image",
+        "compare(queries, references) returns (Q, R): more alike is larger, 1 is the most",
         needs=(LENGTH,),
+    ),
+    Check(
+        ALONE,
+        _leaves_embeddings,
+        "they are the map's own: subtract into a new array, or work on references.copy()",
+        needs=(SIMILARITIES,),
     ),
     Check(
         "queries one at a time",
         _one_by_one,
         "let looks_back say how many queries before the last matter to its similarities",
-        needs=(SIMILARITIES, MEMBERS),
+        needs=(ALONE, MEMBERS),
     ),
     Check(
         ITSELF,
         _itself,
         "different pictures must differ in their embeddings, and by more than rounding",
-        needs=(SIMILARITIES,),
+        needs=(ALONE,),
     ),
     Check(
         "darker and brighter",

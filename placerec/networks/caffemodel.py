@@ -36,6 +36,8 @@ def read_caffemodel(content: bytes) -> dict[str, FloatArray]:
         parts = list(_fields(layer))
         names = [bytes(part).decode() for number, part in _chunks(parts) if number == name_field]
         blobs = [_blob(part) for number, part in _chunks(parts) if number == blob_field]
+        if blobs and not names:
+            raise ValueError("a layer with weights has no name")
         for kind, blob in zip(KINDS, blobs, strict=False):
             arrays[f"{names[0]}.{kind}"] = blob.reshape(-1) if kind == "bias" else blob
     if not arrays:

@@ -28,6 +28,8 @@ OURS = ".safetensors"
 FOLDER_VARIABLE = "LOOPCLOSE_WEIGHTS"
 SUFFIXES = frozenset({".pth", ".tar", ".npz", ".caffemodel"})
 NESTED = "state_dict"
+NETVLAD = "netvlad"
+"""Its checkpoints are often named after the network that they begin with."""
 _SCALAR = cast(Callable[..., object], np.float64(0.0).__reduce__()[0])
 NUMBERS: list[Callable[..., object] | tuple[Callable[..., object], str]] = [
     (_SCALAR, "numpy.core.multiarray.scalar"),
@@ -69,14 +71,20 @@ def load_pretrained(network: PlaceNetwork, path: Path) -> None:
 def find_pretrained(name: str) -> Path | None:
     """Return the file of published weights whose name begins so, whatever its capitals, if any.
 
+    A file that has netvlad anywhere in its name, as vgg16_netvlad.pth has, is of that alone.
     It is looked for in the folder that $LOOPCLOSE_WEIGHTS names, if it does, then in that of
     `download_pretrained`, and in the folders in these.
     """
     for folder in weights_folders():
         for path in sorted((*folder.glob("*"), *folder.glob("*/*"))):
-            if path.name.lower().startswith(name.lower()) and path.suffix in SUFFIXES:
+            is_its = _is_of(name.lower(), path.name.lower())
+            if is_its and path.suffix in SUFFIXES and path.is_file():
                 return path
     return None
+
+
+def _is_of(name: str, file: str) -> bool:
+    return name == NETVLAD if NETVLAD in file else file.startswith(name)
 
 
 def weights_folders() -> tuple[Path, ...]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+import torch
 
 from placerec.comparison import COSINES, flaw_in
 
@@ -37,6 +38,7 @@ def test_equal_pairs_tie_wherever_they_stand(size):
         (None, "a NoneType that is not an array of numbers|shape ()"),
         ({"a": 1}, "a dict that is not an array of numbers"),
         ([[1, 2], [3]], "a list that is not an array of numbers"),
+        (torch.zeros(2, 3, requires_grad=True), "a Tensor that is not an array of numbers"),
     ],
 )
 def test_what_is_wrong_with_an_answer_is_said(answer, flaw):
@@ -45,3 +47,7 @@ def test_what_is_wrong_with_an_answer_is_said(answer, flaw):
         assert found is None
     else:
         assert any(part in found for part in flaw.split("|"))
+
+
+def test_there_is_nothing_wrong_with_no_similarities():
+    assert flaw_in(np.empty((0, 3), np.float32), (0, 3)) is None

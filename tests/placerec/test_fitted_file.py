@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
+import safetensors.torch
+import torch
+from safetensors import safe_open
 from safetensors.numpy import save
 
-from placerec import fitted_file
+from placerec import fitted_file, recognizer
 from placerec.fitted_file import (
     METADATA_KEY,
     Fitted,
@@ -97,7 +100,7 @@ def test_a_file_names_its_recognizer(tmp_path, monkeypatch):
 
 def test_a_file_cannot_name_code_to_run(tmp_path):
     path = tmp_path / "w.safetensors"
-    with pytest.raises(ValidationError):
+    with pytest.raises(RecognizerError, match="recognizer = 'os:system' cannot be kept"):
         write_fitted(path, "os:system", LEARNED)
     description = '{"recognizer": "os:getcwd", "min_similarity": 0, "trained_on": [], "facts": {}}'
     path.write_bytes(save({}, {METADATA_KEY: description}))
@@ -111,3 +114,35 @@ def test_any_other_file_is_taken_for_a_network(tmp_path):
     path.write_bytes(b"oh")
     with pytest.raises(RecognizerError, match="pickle is never opened"):
         open_recognizer(path)
+
+
+@pytest.mark.parametrize(
+    ("owner", "what"),
+    [
+        ("gradients", "says it is of gradients, and does not fit: TypeError"),  # takes no file
+        ("bag-of-words", "says it is of bag-of-words, and does not fit: KeyError: 'rarity'"),
+        ("mine", "recognizer of w.safetensors cannot be imported: ModuleNotFoundError"),
+        ("nobody", "there is no recognizer 'nobody'"),
+    ],
+)
+def test_a_file_that_names_something_strange_is_one_line(tmp_path, monkeypatch, owner, what):
+    def find(name):
+        if name != "mine":
+            return recognizer.find(name)
+        return EntryPoint("mine", "no_such_module:Mine", recognizer.ENTRY_POINT_GROUP)
+
+    monkeypatch.setattr(fitted_file, "find", find)
+    write_fitted(tmp_path / "w.safetensors", owner, LEARNED)
+    with pytest.raises(RecognizerError, match=what) as caught:
+        load(str(tmp_path / "w.safetensors"))
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_a_kind_that_numpy_lacks_are_one_line(tmp_path):
+    path = tmp_path / "w.safetensors"
+    write_fitted(path, "mine", LEARNED)
+    with safe_open(path, framework="np") as file:
+        metadata = file.metadata()
+    safetensors.torch.save_file({"a": torch.ones(2, dtype=torch.bfloat16)}, path, metadata)
+    with pytest.raises(RecognizerError, match="not a whole file of mine"):
+        read_fitted(path, "mine")

@@ -6,6 +6,7 @@ import torch
 from placerec.baselines.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
 from placerec.fitted_file import Fitted
 from placerec.networks import TRUNKS, PlaceNetwork
+from placerec.networks.pretrained import find_pretrained
 from placerec.recognizer import RecognizerError
 
 MOBILE = Layer(TRUNKS["mobilenet_v2"], "block6", (96, 64))
@@ -42,6 +43,22 @@ def test_weights_are_looked_for_in_the_users_folder_too(machine, published):
     file = published / "mobilenet_v2" / "mobilenet_v2_1.0.npz"
     (machine / "MobileNet_V2.npz").symlink_to(file)
     assert find_maps([VGG, MOBILE]).title == MOBILE.title
+
+
+@pytest.mark.parametrize("name", ["mobilenet_v2_netvlad.pth", "MobileNet_V2-NetVLAD_30k.pth.tar"])
+def test_a_checkpoint_of_netvlad_is_not_taken_for_the_network_that_it_begins_with(
+    machine, published, name
+):
+    machine.mkdir(parents=True)
+    (machine / name).write_bytes(b"")
+    with pytest.raises(RecognizerError, match="whose name begins with mobilenet_v2"):
+        find_maps([MOBILE])
+    assert find_pretrained("netvlad") == machine / name
+
+
+def test_a_folder_is_no_file_of_weights(machine):
+    (machine / "mobilenet_v2.npz").mkdir(parents=True)
+    assert find_pretrained("mobilenet_v2") is None
 
 
 def test_fingerprints_tell_layers_sizes_and_weights_apart(weights, tmp_path, monkeypatch):

@@ -30,6 +30,21 @@ class Brightness:
         return Fitted({"means": np.array(in_turn)}, {"seed": str(seed)})
 
 
+class Careless(Brightness):
+    """Learns what it is told to, by its seed."""
+
+    @classmethod
+    def fit(cls, images, seed):
+        wrong = {1: {}, 2: Fitted({"means": np.array([1.0, np.nan])}), 3: Fitted({}, {"n": 3})}
+        if seed not in wrong:
+            raise OSError("no disk\nat all")
+        return wrong[seed]
+
+
+class Boundless(Brightness):
+    min_similarity = 7.0
+
+
 @pytest.fixture(autouse=True)
 def installed(tmp_path, monkeypatch):
     """Install recognizers: brightness, with something to learn, plain, without, and broken."""
@@ -40,7 +55,8 @@ def installed(tmp_path, monkeypatch):
     (folder / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(
         "[placerec.recognizers]\nbrightness = fit_of_a_test:Brightness\nplain = builtins:object\n"
-        "broken = no_such_module:Broken\n"
+        "broken = no_such_module:Broken\ncareless = fit_of_a_test:Careless\n"
+        "boundless = fit_of_a_test:Boundless\n"
     )
     monkeypatch.setattr(sys, "path", [str(tmp_path / "site"), *sys.path])
     monkeypatch.setitem(sys.modules, "fit_of_a_test", sys.modules[__name__])
@@ -93,9 +109,19 @@ def test_calibrating_gives_the_file_its_threshold_and_its_evidence(drives, tmp_p
         (["no-such-thing", "."], "there is no recognizer"),
         (["broken", "."], "'broken' cannot be imported: ModuleNotFoundError"),
         (["brightness", "nowhere"], "there is no such folder"),
+        (["fit_of_a_test:Brightness", "walk"], "must not name code to run"),
+        (["brightness", "walk", "--out", "nowhere/it.safetensors"], "a folder that is there"),
+        (["brightness", "walk", "--seed", "-1"], "a seed that is not negative"),
+        (["careless", "walk"], "'careless' failed to learn: OSError: no disk at all"),
+        (["careless", "walk", "--seed", "1"], "learned a dict; fit returns a Fitted"),
+        (["careless", "walk", "--seed", "2"], "values in 'means' that are NaN or infinite"),
+        (["careless", "walk", "--seed", "3"], "facts.n = 3 cannot be kept in a file"),
+        (["boundless", "walk"], "min_similarity = 7.0 cannot be kept in a file"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(arguments, what, capsys):
+def test_what_cannot_be_done_is_one_line(arguments, what, tmp_path, write_image, capsys):
+    write_image(tmp_path / "walk/0.png")
     assert main(["fit", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert what in error and error.count("\n") == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("placerec: ") and what in error
+    assert not [*tmp_path.glob("**/*.safetensors")]

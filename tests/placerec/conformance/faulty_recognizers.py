@@ -247,6 +247,15 @@ class DividesByZero(Maps):
         raise ZeroDivisionError("no words")
 
 
+class Centres(Maps):
+    """Takes the mean of what it is given out of it, where it lies."""
+
+    def compare(self, queries, references):
+        middle = references.mean(axis=0)
+        references -= middle
+        return super().compare(queries - middle, references)
+
+
 class CompareIsNoMethod(Sound):
     compare = True
 

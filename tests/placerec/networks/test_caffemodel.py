@@ -44,6 +44,7 @@ def test_a_file_by_hand():
         lambda content: content[: len(content) // 2],
         lambda content: b"\xff" * 40,
         lambda content: b"<html>not found</html>",
+        lambda content: bytes([0xA2, 0x06, 8, 0x3A, 6, 0x2A, 4, 0, 0, 0x80, 0x3F]),  # no name
     ],
 )
 def test_what_is_no_such_file_or_not_all_of_it_is_refused(content, damage):
