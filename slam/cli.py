@@ -117,6 +117,7 @@ def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
                     slam.process(frame)
                     if interrupted.is_set():
                         return KeyboardInterrupt()
+            slam.settle()  # if the recognizer failed on one of the last keyframes, say so
         except (SlamError, RecognizerError) as stopped:
             return stopped
     return None
