@@ -95,8 +95,8 @@ class Atlas:
         largest, newest = _largest(self._parts(), frames), self._keyframes[-1]
         if newest.id not in largest.T_part_kf:
             raise SlamError(
-                "the camera was lost, and so far no two loops agree where the part of the map that"
-                " it is in now lies to the largest; ask again later"
+                "the camera was lost or began a new session, and so far no two loops agree where"
+                " the part of the map that it is in now lies to the largest; ask again later"
             )
         graph = self._graph(largest)
         graph.update()

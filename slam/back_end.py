@@ -169,8 +169,17 @@ class BackEnd:
     ) -> tuple[LoopAttempt, ...]:
         if self._failure:
             raise self._failure
+        try:
+            return self._take_in(keyframe, links, rgb)
+        except RecognizerError as failure:
+            self._failure = failure
+            raise
+
+    def _take_in(
+        self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
+    ) -> tuple[LoopAttempt, ...]:
         with self._clock.stage("describe"):
-            embedding = self._describe(rgb)
+            embedding = self._loop_closer.describe(rgb)
         with self._clock.stage("close loops"):
             linked_ids = [link.ref_id for link in links]
             attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
@@ -179,13 +188,6 @@ class BackEnd:
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
         return attempts
-
-    def _describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        try:
-            return self._loop_closer.describe(rgb)
-        except RecognizerError as failure:
-            self._failure = failure
-            raise
 
 
 def _unjoined(attempt: LoopAttempt, agreeing: int) -> LoopAttempt:

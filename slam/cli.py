@@ -2,6 +2,7 @@
 """The `run_slam` command: read a sequence, run the pipeline, write the run's folder."""
 
 import gc
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
@@ -76,7 +77,9 @@ def _run(arguments: Arguments) -> None:
             sessions.ground_truth,
             arguments.settings,
             title=arguments.title,
-            command=f"run_slam {' '.join(arguments.sequences)} --recognizer {arguments.recognizer}",
+            command=shlex.join(
+                ["run_slam", *arguments.sequences, "--recognizer", arguments.recognizer]
+            ),
         )
     print(summary_table(result, drift, folder))
     if stopped:
@@ -117,6 +120,7 @@ def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
                     slam.process(frame)
                     if interrupted.is_set():
                         return KeyboardInterrupt()
+            slam.settle()  # if the recognizer failed on one of the last keyframes, say so
         except (SlamError, RecognizerError) as stopped:
             return stopped
     return None

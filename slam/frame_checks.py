@@ -12,7 +12,7 @@ def check_frame(frame: Frame, camera: Camera, last_s: float) -> None:
     Raises:
         SlamError: the frame is not of the camera's size, or the time does not increase.
     """
-    if not frame.timestamp_s > last_s:
+    if not last_s < frame.timestamp_s < np.inf:
         raise SlamError(
             f"frames must come in the order of time: {frame.timestamp_s:.6f} s after {last_s:.6f} s"
         )

@@ -51,8 +51,12 @@ class Rides:
         return np.array([ride.timestamp_s for ride in rides])
 
     def untracked_s(self, T_any_kf: FloatArray) -> FloatArray:
-        """Return when all frames were taken that have no place, in the order of time."""
-        return np.sort(np.concatenate([self._lost_s, self.unjoined_s(T_any_kf)]))
+        """Return when all frames were taken that have no place, in the order of time.
+
+        Those of keyframes that (K, 4, 4) poses leave out are among them.
+        """
+        left_out_s = [ride.timestamp_s for ride in self._rides if ride.keyframe_id >= len(T_any_kf)]
+        return np.sort(np.concatenate([self._lost_s, self.unjoined_s(T_any_kf), left_out_s]))
 
     def warnings(self, T_any_kf: FloatArray) -> tuple[str, ...]:
         """Return a sentence about the frames that were lost, and one about those not joined."""

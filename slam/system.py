@@ -66,8 +66,8 @@ class Slam:
 
         Raises:
             SlamError: the frame is not of the camera's size, or the time does not increase.
-            RecognizerError: the recognizer failed on the keyframe before; what was done until then
-                can be finished.
+            RecognizerError: the recognizer failed on a keyframe, up to eight before this one; what
+                was done until then can be finished.
         """
         check_frame(frame, self._camera, self._last_s)
         self._enter("process", frame)
@@ -133,11 +133,19 @@ class Slam:
 
         Raises:
             SlamError: there is no keyframe yet, or nothing tells where the camera is since it was
-                lost.
+                lost or a session began.
             RecognizerError: the recognizer failed on one of the last keyframes; what was done until
                 then can be finished.
         """
         return self._back_end.T_world_odom(self._rides.per_keyframe())
+
+    def settle(self) -> None:
+        """Wait until all keyframes are taken in.
+
+        Raises:
+            RecognizerError: the recognizer failed on one; what was done until then can be finished.
+        """
+        self._back_end.settle()
 
     def finish(self) -> SlamResult:
         """Solve the graph with all loops, adjust the map to it, and return what the run found out.

@@ -223,8 +223,8 @@ class SlamResult:
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
         min_similarity: the threshold from which candidates were verified.
-        untracked_s: timestamps of the frames that are in no trajectory, because tracking lost them
-            or their part of the map was not joined.
+        untracked_s: timestamps of the frames that are in no trajectory, because tracking lost them,
+            their part of the map was not joined, or the recognizer failed before their keyframe.
         stage_seconds: total wall time per stage, in the order of the pipeline.
         warnings: what a user should know before trusting the result; one sentence each.
         calibration: where the recognizer's threshold comes from, None where nobody says so.

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from slam.datasets.sequence import Sequence
-from slam.types import Camera, SlamError, Trajectory
+from slam.types import SlamError, Trajectory
 
 
 class Sessions:
@@ -50,20 +50,17 @@ class Sessions:
 
 
 def _check_camera(before: Sequence, after: Sequence) -> None:
-    if before.camera != after.camera:
-        raise SlamError(
-            f"recordings of different cameras cannot be one map: {before.name} has"
-            f" {_words(before.camera)}, {after.name} {_words(after.camera)}; run them one by one,"
-            " or give the camera of both with --input.camera FILE.toml"
+    one, other = vars(before.camera), vars(after.camera)
+    differing = [name for name in one if one[name] != other[name]]
+    if differing:
+        has, instead = (
+            ", ".join(f"{name} {camera[name]}" for name in differing) for camera in (one, other)
         )
-
-
-def _words(camera: Camera) -> str:
-    lens = ", a distorting lens" if any(camera.distortion) else ""
-    return (
-        f"{camera.width}x{camera.height}, fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g},"
-        f" cy {camera.cy:g}, {camera.depth_scale:g} depth units per metre{lens}"
-    )
+        raise SlamError(
+            f"recordings of different cameras cannot be one map: {before.name} has {has},"
+            f" {after.name} {instead}; run them one by one, or give the camera of both with"
+            " --input.camera FILE.toml"
+        )
 
 
 def _check_order(before: Sequence, after: Sequence) -> None:

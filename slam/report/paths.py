@@ -51,9 +51,9 @@ class Paths:
 
     @property
     def session_starts(self) -> NDArray[np.int64]:
-        """(S,) the first placed frame of each session."""
+        """The first placed frame of each session that has one."""
         starts = np.searchsorted(self.times_s, self.elapsed_s(self.session_starts_s))
-        return starts[starts < len(self.times_s)]
+        return np.unique(starts[starts < len(self.times_s)])
 
     @property
     def has_keyframe_truth(self) -> bool:

@@ -194,6 +194,34 @@ def test_after_a_failure_nothing_is_taken_in_and_whoever_asks_next_is_told(keyfr
     assert len(behind.solve().T_world_kf) == 2
 
 
+class Torn(Gate):
+    """Compares by itself, and fails at that once."""
+
+    def __init__(self):
+        super().__init__()
+        self.compared = 0
+
+    def compare(self, queries, references):
+        self.compared += 1
+        if self.compared == 1:
+            raise ValueError("cannot compare")
+        return np.asarray(queries) @ np.asarray(references).T
+
+
+def test_after_a_failure_to_compare_nothing_is_taken_in_either(keyframes):
+    behind = back_end(Torn(), min_gap_s=4.0)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    with pytest.raises(RecognizerError, match="cannot compare"):
+        behind.settle()
+    assert len(behind.keyframes) == len(behind.solve().T_world_kf) == 2
+    assert behind.similarities().shape == (2, 2)
+    keyframe, rgb = keyframes[3]
+    behind.insert(replace(keyframe, segment=1), (), rgb)
+    with pytest.raises(RecognizerError, match="cannot compare"):
+        behind.settle()
+
+
 def test_who_has_to_wait_for_room_is_told_of_a_failure(keyframes):
     gate = Gate()
     gate.fails_at = 1

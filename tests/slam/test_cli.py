@@ -472,6 +472,16 @@ def test_a_recognizer_that_fails_late_costs_only_what_comes_after(
     assert f"stopped early: {ran.complaint.split(';')[0]}" in ran.out
 
 
+def test_a_recognizer_that_fails_near_the_end_is_no_good_run(run_slam, short_recording, recognizer):
+    mine = recognizer("raise ValueError('no more memory')")
+    ran = run_slam(short_recording(16, "two words"), "--recognizer", mine, *QUICK)
+    assert "no more memory; what was done until then" in ran.complaint
+    assert len(read_tum(ran.folder / "keyframes.txt")) == 2
+    tracked = len(read_tum(ran.folder / "trajectory.txt"))
+    assert tracked < 16 and f"{tracked} of 16 tracked" in ran.frames
+    assert "two words'" in (ran.folder / "settings.toml").read_text().splitlines()[0]
+
+
 def test_a_recognizer_that_fails_at_once_leaves_nothing(run_slam, recording, recognizer):
     ran = run_slam(recording, "--recognizer", recognizer("return None", good=0))
     assert "shape ()" in ran.complaint

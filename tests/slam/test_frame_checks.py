@@ -21,6 +21,7 @@ def test_a_frame_of_the_camera_in_the_order_of_time_is_let_in():
     [
         (frame(timestamp_s=0.5), "order of time: 0.500000 s after 0.500000 s"),
         (frame(timestamp_s=np.nan), "order of time"),
+        (frame(timestamp_s=np.inf), "order of time"),
         (frame(rgb=(5, 8, 3)), r"colour \(5, 8, 3\)"),
         (frame(rgb=(6, 8)), r"colour \(6, 8\)"),
         (frame(depth=(6, 7)), r"depth \(6, 7\)"),

@@ -43,6 +43,7 @@ def test_frames_of_a_keyframe_without_a_place_have_none_either(rides):
 def test_keyframes_that_nobody_knows_take_their_frames_with_them(rides):
     assert len(rides.trajectory(poses(0.0, 4.0))) == 4
     assert len(rides.unjoined_s(poses(0.0, 4.0))) == 0
+    assert rides.untracked_s(poses(0.0, 4.0)).tolist() == [2.0, 12.0, 20.0, 21.0, 22.0]
 
 
 def test_lost_frames_and_those_apart_are_warned_of(rides):

@@ -84,4 +84,11 @@ def test_recordings_of_one_time_are_no_sessions(make_session):
 
 def test_another_camera_is_refused(make_session):
     told = complaint(make_session("one"), make_session("two", later_s=10.0, fx=31.0))
-    assert "different cameras" in told and "fx 30" in told and "two 32x24, fx 31" in told
+    assert "different cameras" in told and "one has fx 30.0, two fx 31.0;" in told
+
+
+def test_what_differs_between_cameras_is_told_however_little(make_session):
+    bent = {"fx": 30.000001, "distortion": (0.1, 0.0, 0.0, 0.0, 0.0)}
+    one = make_session("one", distortion=(0.2, 0.0, 0.0, 0.0, 0.0))
+    told = complaint(one, make_session("two", later_s=10.0, **bent))
+    assert "one has fx 30.0, distortion (0.2, 0.0, 0.0, 0.0, 0.0), two fx 30.000001," in told

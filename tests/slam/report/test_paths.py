@@ -67,6 +67,14 @@ def test_the_breaks_between_sessions_are_left_out(run, altered) -> None:
     assert_allclose(paths.elapsed_s(times), paths.times_s)
 
 
+def test_a_session_without_any_place_starts_nowhere(run, altered) -> None:
+    lost_s = run.result.trajectory.timestamps_s[0] - np.array([9.0, 8.5, 4.0])
+    result = altered(
+        untracked_s=lost_s, session_starts_s=run.result.trajectory.timestamps_s[[0, 30]]
+    )
+    assert gather(result, None, None).session_starts.tolist() == [0, 30]
+
+
 def test_truth_between_two_sessions_is_not_drawn(run, altered) -> None:
     times = run.result.trajectory.timestamps_s.copy()
     times[30:] += 100.0
