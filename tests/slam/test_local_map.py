@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import threading
 import time
 
 import numpy as np
@@ -83,6 +84,20 @@ def test_a_slow_adjustment_gives_the_same_bits(scene, monkeypatch):
         np.testing.assert_array_equal(one.T_map_cam, other.T_map_cam)
         np.testing.assert_array_equal(one.landmark_of, other.landmark_of)
     np.testing.assert_array_equal(fast.nearby_ids, slow.nearby_ids)
+
+
+def test_what_is_adjusted_is_taken_from_the_map_before_the_thread_begins(scene, monkeypatch):
+    takers, take_part = [], module.take_part
+
+    def watched(*arguments):
+        takers.append(threading.current_thread())
+        return take_part(*arguments)
+
+    monkeypatch.setattr(module, "take_part", watched)
+    local_map = LocalMap(scene.camera, Config())
+    for k in range(2):
+        insert(local_map, scene, k)
+    assert takers == [threading.current_thread()] * 2
 
 
 def test_landmarks_nearby_are_those_of_the_keyframe_and_its_company(scene):
