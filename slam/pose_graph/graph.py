@@ -21,8 +21,8 @@ _ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
 # While running, loops wait until there are this many more of them than at the last robust solve:
 # the total cost then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
-# The linear schedule is for small maps, and takes minutes with 10,000 motions where the other takes
-# one: above so many it is left out.
+# The linear schedule is for small maps; with 10,000 loops the other alone takes minutes. Above so
+# many doubted motions it is left out.
 _MOST_FOR_LINEAR = 3000
 
 
