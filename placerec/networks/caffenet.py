@@ -5,7 +5,7 @@ from collections import OrderedDict
 
 from torch import nn
 
-from placerec.networks.preprocessing import Preprocessing
+from placerec.networks.preprocessing import CAFFE_INPUT
 from placerec.networks.trunk import Trunk, with_random_weights
 
 
@@ -35,12 +35,6 @@ def _layers() -> nn.Sequential:
 CAFFENET = Trunk(
     name="caffenet",
     build=_layers,
-    preprocessing=Preprocessing(
-        width_px=227,
-        height_px=227,
-        mean=(104.0, 117.0, 123.0),
-        scale=(1.0, 1.0, 1.0),
-        is_bgr=True,
-    ),
+    preprocessing=CAFFE_INPUT,
     blocks={"conv1": 2, "conv2": 6, "conv3": 10, "conv4": 12, "conv5": 14},
 )

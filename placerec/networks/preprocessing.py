@@ -54,6 +54,12 @@ class Preprocessing:
         return torch.from_numpy(values).permute(2, 0, 1)
 
 
+CAFFE_INPUT = Preprocessing(
+    width_px=227, height_px=227, mean=(104.0, 117.0, 123.0), scale=(1.0, 1.0, 1.0), is_bgr=True
+)
+"""What networks trained with Caffe on ImageNet take."""
+
+
 def _as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
         seen = image.dtype if isinstance(image, np.ndarray) else type(image).__name__

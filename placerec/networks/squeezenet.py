@@ -6,7 +6,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor, nn
 
-from placerec.networks.preprocessing import Preprocessing
+from placerec.networks.preprocessing import CAFFE_INPUT
 from placerec.networks.trunk import Trunk, with_random_weights
 
 SQUEEZED = {2: 16, 3: 16, 4: 32, 5: 32, 6: 48, 7: 48, 8: 64, 9: 64}
@@ -68,13 +68,7 @@ def _name_in_file(parameter: str) -> str:
 SQUEEZENET = Trunk(
     name="squeezenet",
     build=_layers,
-    preprocessing=Preprocessing(
-        width_px=227,
-        height_px=227,
-        mean=(104.0, 117.0, 123.0),
-        scale=(1.0, 1.0, 1.0),
-        is_bgr=True,
-    ),
+    preprocessing=CAFFE_INPUT,
     blocks=_blocks(),
     name_in_file=_name_in_file,
 )
