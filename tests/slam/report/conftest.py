@@ -99,7 +99,7 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
     frames = tuple(
         Keyframe(
             number, float(time), odometry[number * PER_KEYFRAME], None, preview(generator, time)
-        )  # type: ignore[arg-type]
+        )
         for number, time in enumerate(times[::PER_KEYFRAME])
     )
     pairs = [(query, match) for query in range(keyframes) for match in range(query - 12)]
