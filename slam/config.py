@@ -110,6 +110,16 @@ class GraphConfig(Section):
     """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
 
 
+class MotionConfig(Section):
+    """How the camera is carried: frames are smoothed accordingly, once all are placed."""
+
+    acceleration_m_s2: PositiveFloat = 2.0
+    """Standard deviation of the acceleration along an axis; 2 is a hand. A large number leaves the
+    frames where they were tracked."""
+    angular_acceleration_rad_s2: PositiveFloat = 5.0
+    """The same of the turning; 5 is a hand."""
+
+
 class EvaluationConfig(Section):
     """Comparison with ground truth."""
 
@@ -143,6 +153,7 @@ class Config(Section):
     loop: LoopConfig = LoopConfig()
     verification: VerificationConfig = VerificationConfig()
     graph: GraphConfig = GraphConfig()
+    motion: MotionConfig = MotionConfig()
     evaluation: EvaluationConfig = EvaluationConfig()
     map: MapConfig = MapConfig()
 

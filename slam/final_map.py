@@ -2,10 +2,11 @@
 """The map of a whole run: landmarks fused across the loops that hold, all adjusted at once."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from slam.landmark_map import LandmarkMap
 from slam.map_adjustment import adjusted, put_back, take_part
-from slam.types import FloatArray
+from slam.types import FloatArray, Keyframe
 
 # The pose graph leaves this much between the two ends of a loop, and an adjusted map that much.
 _LOOP_RADIUS_PX, _LOOP_COMPANY = 8.0, 5
@@ -24,6 +25,15 @@ def too_large(keyframes: int) -> tuple[str, ...]:
     return (
         f"{keyframes} keyframes are more than the {MOST_KEYFRAMES} that can be adjusted at once, so"
         " their poses are as the pose graph left them",
+    )
+
+
+def where_tracking_put(the_map: LandmarkMap, keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
+    """Return the keyframes at their last places in the tracker's map, which knows of no loop."""
+    places = the_map.keyframes[: len(keyframes)]
+    return tuple(
+        replace(keyframe, T_odom_cam=place.T_map_cam)
+        for keyframe, place in zip(keyframes, places, strict=True)
     )
 
 

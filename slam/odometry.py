@@ -37,6 +37,8 @@ _PREDICTED_RADII_PX = (15.0, 40.0)  # where the last motion should have gone on;
 # So many of the features wanted have to have depth. Frames of fr1_desk show 67 % and more, blurred
 # by 31 pixels 21 %; blurred by 121 pixels it is less than 10 %, and nothing could be matched to it.
 _WORTH_A_SEGMENT = 0.1
+# A camera lost for longer may be anywhere: it comes back by as much evidence as a loop takes.
+_STILL_CLOSE_S = 0.25
 _TRAILS = 2  # a lost camera is looked for on the last one and on the one before
 
 
@@ -145,7 +147,8 @@ class RgbdOdometry:
 
     def _recover(self, view: View) -> Placement | Rejection:
         """Compare the view with all features of the last keyframes, wherever it may be."""
-        config = self._tracking_config
+        lost_s = view.frame.timestamp_s - self._trails[-1].last_s
+        config = self._tracking_config if lost_s <= _STILL_CLOSE_S else self._link_config
         for trail in reversed(self._trails):
             placement = self._recover_on(trail, view, config)
             if isinstance(placement, Placement):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from placerec.recognizer import PlaceRecognizer, RecognizerError
@@ -11,11 +9,12 @@ from slam.atlas import tied
 from slam.back_end import BackEnd, ClosedLoops
 from slam.config import Config
 from slam.features import FeatureExtractor
-from slam.final_map import closed_map, too_large
+from slam.final_map import closed_map, too_large, where_tracking_put
 from slam.frame_checks import check_frame, checked_pose
 from slam.odometry import RgbdOdometry, TrackedFrame
 from slam.preview import preview
 from slam.rides import Rides
+from slam.smoothing import smoothed
 from slam.stage_clock import StageClock
 from slam.types import (
     Camera,
@@ -28,6 +27,7 @@ from slam.types import (
     RelativePose,
     SlamError,
     SlamResult,
+    Trajectory,
 )
 
 
@@ -165,7 +165,8 @@ class Slam:
         T_world_kf = loops.T_world_kf
         unadjusted = too_large(len(keyframes)) if self._door == "process" else ()
         if self._door == "process":
-            keyframes = self._where_tracking_put(keyframes)
+            self._odometry.settle()
+            keyframes = where_tracking_put(self._odometry.map, keyframes)
             if not unadjusted:
                 with self.clock.stage("adjust"):
                     T_world_kf = self._adjusted(loops)
@@ -177,8 +178,8 @@ class Slam:
             camera=self._camera,
             keyframes=keyframes,
             T_world_kf=T_world_kf,
-            odometry=self._rides.trajectory(np.where(has_place, T_odom_kf, np.nan)),
-            trajectory=self._rides.trajectory(T_world_kf),
+            odometry=self._trajectory(np.where(has_place, T_odom_kf, np.nan)),
+            trajectory=self._trajectory(T_world_kf),
             links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
@@ -207,15 +208,6 @@ class Slam:
             return (f"{left_out} is left out: {error}",)
         return ()
 
-    def _where_tracking_put(self, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
-        """Return the keyframes at their final places in the tracker's map, without any loop."""
-        self._odometry.settle()
-        mapped = self._odometry.map.keyframes[: len(keyframes)]
-        return tuple(
-            replace(keyframe, T_odom_cam=each.T_map_cam)
-            for keyframe, each in zip(keyframes, mapped, strict=True)
-        )
-
     def _adjusted(self, loops: ClosedLoops) -> FloatArray:
         T_world_kf = loops.T_world_kf.copy()
         placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0])).tolist()
@@ -223,6 +215,12 @@ class Slam:
         final = closed_map(self._odometry.map, placed, T_world_kf[placed], pairs)
         T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
         return T_world_kf
+
+    def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
+        trajectory = self._rides.trajectory(T_any_kf)
+        if self._door != "process":  # an odometry from elsewhere knows best how its camera moves
+            return trajectory
+        return smoothed(trajectory, self._config.motion, self._session_starts_s)
 
     def _outside_information(self) -> FloatArray:
         rotation_rad = np.radians(self._config.graph.outside_rotation_sigma_deg)

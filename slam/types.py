@@ -218,7 +218,8 @@ class SlamResult:
         T_world_kf: (K, 4, 4) their corrected poses, NaN in a part of the map that was not joined to
             the largest; the world is the camera of the first that has a place.
         odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
-        trajectory: the same frames, corrected: each rides on its keyframe.
+        trajectory: the same frames, corrected: each rides on its keyframe. Both are smoothed where
+            the camera was tracked here, by up to some centimetres; keyframes stay where they are.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.

@@ -12,7 +12,7 @@ from placerec.datasets import PlaceDataset
 from placerec.gradients import GradientRecognizer
 from placerec.recognizer import RecognizerError
 from slam import atlas, final_map, se3
-from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig
+from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig, MotionConfig
 from slam.drift import compare_drift, trajectory_error
 from slam.odometry import TrackedFrame
 from slam.pose_graph import PoseGraph
@@ -20,6 +20,8 @@ from slam.system import Slam
 from slam.types import Camera, Rejection, RelativePose, SlamError
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+SMOOTHED_BY = 5e-3
+NO_LIMITS = {"acceleration_m_s2": 1e9, "angular_acceleration_rad_s2": 1e9}
 
 
 def run(frames, config=None, recognizer=None):
@@ -76,7 +78,7 @@ def test_every_tracked_frame_is_in_both_trajectories(result, frames):
     for trajectory in (result.odometry, result.trajectory):
         np.testing.assert_array_equal(trajectory.timestamps_s, times_s)
         assert trajectory.T_world_cam.shape == (60, 4, 4)
-        np.testing.assert_allclose(trajectory.T_world_cam[0], np.eye(4), atol=1e-9)
+        np.testing.assert_allclose(trajectory.T_world_cam[0], np.eye(4), atol=SMOOTHED_BY)
         R = trajectory.T_world_cam[:, :3, :3]
         unit = np.tile(np.eye(3), (60, 1, 1))
         np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), unit, atol=1e-9)
@@ -99,14 +101,49 @@ def test_loops_that_agree_with_the_odometry_are_believed(result):
     assert result.warnings == ()
 
 
-def test_keyframes_ride_on_themselves_and_frames_on_their_keyframe(result):
-    index_of = {time_s: i for i, time_s in enumerate(result.trajectory.timestamps_s)}
-    at_keyframes = [index_of[keyframe.timestamp_s] for keyframe in result.keyframes]
-    np.testing.assert_array_equal(result.trajectory.T_world_cam[at_keyframes], result.T_world_kf)
-    np.testing.assert_array_equal(
-        result.odometry.T_world_cam[at_keyframes],
-        [keyframe.T_odom_cam for keyframe in result.keyframes],
-    )
+@pytest.fixture(scope="module")
+def as_tracked(frames):
+    """Return a run whose frames are not smoothed."""
+    return run(frames[:12], Config(motion=MotionConfig(**NO_LIMITS)))
+
+
+def test_keyframes_ride_on_themselves(as_tracked):
+    index_of = {time_s: i for i, time_s in enumerate(as_tracked.trajectory.timestamps_s)}
+    at_keyframes = [index_of[keyframe.timestamp_s] for keyframe in as_tracked.keyframes]
+    corrected = as_tracked.trajectory.T_world_cam[at_keyframes]
+    np.testing.assert_allclose(corrected, as_tracked.T_world_kf, atol=1e-9)
+    uncorrected = as_tracked.odometry.T_world_cam[at_keyframes]
+    T_odom_kf = [keyframe.T_odom_cam for keyframe in as_tracked.keyframes]
+    np.testing.assert_allclose(uncorrected, T_odom_kf, atol=1e-9)
+
+
+def test_frames_are_corrected_with_their_keyframe(as_tracked):
+    ids = [keyframe.timestamp_s for keyframe in as_tracked.keyframes]
+    for i, time_s in enumerate(as_tracked.trajectory.timestamps_s):
+        k = np.searchsorted(ids, time_s, side="right") - 1
+        assert np.isfinite(as_tracked.trajectory.T_world_cam[i]).all()
+        T_odom_kf, T_world_kf = as_tracked.keyframes[k].T_odom_cam, as_tracked.T_world_kf[k]
+        before = se3.inverse(as_tracked.odometry.T_world_cam[i]) @ T_odom_kf
+        after = se3.inverse(as_tracked.trajectory.T_world_cam[i]) @ T_world_kf
+        np.testing.assert_allclose(before, after, atol=1e-9)
+
+
+def test_both_trajectories_are_smoothed_as_the_camera_is_carried(frames, as_tracked):
+    steadier = run(frames[:12], Config(motion=MotionConfig(acceleration_m_s2=0.01)))
+    for trajectory in ("odometry", "trajectory"):
+        jolts_m = [
+            np.abs(np.diff(getattr(result, trajectory).T_world_cam[:, :3, 3], n=2, axis=0)).max()
+            for result in (as_tracked, steadier)
+        ]
+        assert jolts_m[1] < 0.5 * jolts_m[0]
+    np.testing.assert_array_equal(steadier.T_world_kf, as_tracked.T_world_kf)
+
+
+def test_poses_from_elsewhere_are_not_smoothed(drifting):
+    result, _ = add_all(drifting)
+    T_odom_kf = [keyframe.T_odom_cam for keyframe in result.keyframes]
+    np.testing.assert_array_equal(result.odometry.T_world_cam, T_odom_kf)
+    np.testing.assert_array_equal(result.trajectory.T_world_cam, result.T_world_kf)
 
 
 def test_links_tie_every_keyframe_and_attempts_look_back(result):
@@ -409,20 +446,6 @@ def test_a_run_says_what_its_recognizer_was_calibrated_on_and_doubts_it(
     np.testing.assert_array_equal(certified.T_world_kf, result.T_world_kf)
 
 
-def test_frames_are_corrected_with_their_keyframe(frames):
-    slam = Slam(CAMERA, GradientRecognizer())
-    for frame in frames[:12]:
-        slam.process(frame)
-    result = slam.finish()
-    ids = [keyframe.timestamp_s for keyframe in result.keyframes]
-    for i, time_s in enumerate(result.trajectory.timestamps_s):
-        k = np.searchsorted(ids, time_s, side="right") - 1
-        assert np.isfinite(result.trajectory.T_world_cam[i]).all()
-        before = se3.inverse(result.odometry.T_world_cam[i]) @ result.keyframes[k].T_odom_cam
-        after = se3.inverse(result.trajectory.T_world_cam[i]) @ result.T_world_kf[k]
-        np.testing.assert_allclose(before, after, atol=1e-9)
-
-
 @pytest.fixture(scope="module")
 def torn(frames):
     """Return a run whose camera was lost for a third of the way there, and then went back."""
@@ -456,9 +479,10 @@ def test_loops_between_segments_are_loops_like_others(torn, sequence):
 def test_a_torn_odometry_is_tied_by_one_motion(torn, sequence):
     index_of = {time_s: i for i, time_s in enumerate(torn.odometry.timestamps_s)}
     at_keyframes = [index_of[keyframe.timestamp_s] for keyframe in torn.keyframes]
-    np.testing.assert_array_equal(
+    np.testing.assert_allclose(
         torn.odometry.T_world_cam[at_keyframes],
         [keyframe.T_odom_cam for keyframe in torn.keyframes],
+        atol=SMOOTHED_BY,
     )
     error = trajectory_error(torn.odometry, sequence.ground_truth, EvaluationConfig())
     assert error.ate_rmse_m < 0.05
@@ -479,7 +503,7 @@ def test_a_part_that_nothing_joins_is_told_and_not_made_up(frames):
     assert result.unjoined_s.tolist() == result.untracked_s.tolist() == first_s
     for trajectory in (result.odometry, result.trajectory):
         assert trajectory.timestamps_s.tolist() == [each.timestamp_s for each in frames[24:34]]
-        np.testing.assert_allclose(trajectory.T_world_cam[0], np.eye(4), atol=1e-9)
+        np.testing.assert_allclose(trajectory.T_world_cam[0], np.eye(4), atol=SMOOTHED_BY)
     (warning,) = result.warnings
     assert warning.startswith(f"6 of 16 frames, from {first_s[0]:.3f} s to {first_s[-1]:.3f} s")
     placed = {keyframe.id for keyframe in result.keyframes if keyframe.segment == 1}
