@@ -107,7 +107,7 @@ class RgbdOdometry:
             placement = self._recover(view)
         if isinstance(placement, Placement):
             return self._go_on(view, placement)
-        return self._start(view) if _with_depth(view) >= self._worth_a_segment else placement
+        return self._start(view) if view.with_depth >= self._worth_a_segment else placement
 
     def settle(self) -> None:
         """Adjust the map to the last keyframe, and go on from where that puts it."""
@@ -119,9 +119,9 @@ class RgbdOdometry:
 
     def _start(self, view: View) -> TrackedFrame | Rejection:
         """Begin a segment whose origin is the view."""
-        with_depth, needed = _with_depth(view), self._tracking_config.min_matches
-        if with_depth < needed:
-            return Rejection(RejectionReason.FEW_MATCHES, with_depth, needed)
+        needed = self._tracking_config.min_matches
+        if view.with_depth < needed:
+            return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
         # A segment that no second frame followed is nothing to come back to.
         worthwhile = [trail for trail in self._trails if trail.is_followed]
         self._trails = [*worthwhile[1 - _TRAILS :], Trail(self._segments)]
@@ -132,23 +132,22 @@ class RgbdOdometry:
 
     def _follow(self, view: View) -> Placement | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
-        trail = self._trails[-1]
-        T_predicted = trail.T_odom_last @ trail.T_last_next
+        trail, config = self._trails[-1], self._evidence_for(view)
+        elapsed_s = view.frame.timestamp_s - trail.last_s
+        T_predicted = trail.T_odom_last @ se3.exp(trail.velocity * elapsed_s)
         last_ids = self.map.landmarks.resolve(trail.last_ids)
         last_ids = np.unique(last_ids[last_ids != UNSEEN])
         for radius_px in _PREDICTED_RADII_PX:
             pairs = self.map.search(view.grid, T_predicted, last_ids, radius_px)
-            agreed = agreed_pose(self.map, view, pairs, self._tracking_config)
+            agreed = agreed_pose(self.map, view, pairs, config)
             if not isinstance(agreed, Rejection):
-                nearby_ids = self._local_map.nearby_ids
-                return look_around(self.map, view, agreed, nearby_ids, self._tracking_config)
+                return look_around(self.map, view, agreed, self._local_map.nearby_ids, config)
             rejection = agreed
         return rejection
 
     def _recover(self, view: View) -> Placement | Rejection:
         """Compare the view with all features of the last keyframes, wherever it may be."""
-        lost_s = view.frame.timestamp_s - self._trails[-1].last_s
-        config = self._tracking_config if lost_s <= _STILL_CLOSE_S else self._link_config
+        config = self._evidence_for(view)
         for trail in reversed(self._trails):
             placement = self._recover_on(trail, view, config)
             if isinstance(placement, Placement):
@@ -158,6 +157,11 @@ class RgbdOdometry:
             if trail.is_followed:  # what was before it is a jump across the map
                 config = self._link_config
         return placement
+
+    def _evidence_for(self, view: View) -> VerificationConfig:
+        """Return what it takes to believe where a view is."""
+        lost_s = view.frame.timestamp_s - self._trails[-1].last_s
+        return self._tracking_config if lost_s <= _STILL_CLOSE_S else self._link_config
 
     def _recover_on(
         self, trail: Trail, view: View, config: VerificationConfig
@@ -187,7 +191,8 @@ class RgbdOdometry:
         turning_rad_s = float(se3.rotation_angle(T_last_cam)) / elapsed_s
         trail.is_followed = True
         trail.last_s, trail.last_ids = view.frame.timestamp_s, placement.pairs[:, 0]
-        trail.T_odom_last, trail.T_last_next = placement.T_map_cam, T_last_cam
+        trail.T_odom_last = placement.T_map_cam
+        trail.velocity = se3.log(T_last_cam) / elapsed_s
         T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ placement.T_map_cam
         if not self._needs_keyframe(placement, T_kf_cam):
             return TrackedFrame(reference.id, T_kf_cam)
@@ -241,8 +246,3 @@ class RgbdOdometry:
             Link(each.id, new.id, allow_for_turning(seen, each.turning_rad_s, new.turning_rad_s))
             for each, seen in motions
         )
-
-
-def _with_depth(view: View) -> int:
-    """Return how many features have depth."""
-    return int(np.count_nonzero(np.isfinite(view.features.depth_m)))

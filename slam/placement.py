@@ -25,6 +25,11 @@ class View:
     features: Features
     grid: FeatureGrid
 
+    @property
+    def with_depth(self) -> int:
+        """How many features have depth."""
+        return int(np.count_nonzero(np.isfinite(self.features.depth_m)))
+
 
 @dataclass(frozen=True)
 class Placement:

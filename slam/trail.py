@@ -19,7 +19,8 @@ class Trail:
         is_followed: whether any frame was placed after the first one.
         most_shared: landmarks that a frame had in common with the last keyframe.
         last_s: time of the last frame.
-        T_odom_last, T_last_next: (4, 4) where it was taken, and the motion that should go on.
+        T_odom_last: (4, 4) where it was taken.
+        velocity: (6,) tangent per second, in the camera's frame: the motion that should go on.
         last_ids: the landmarks it saw.
     """
 
@@ -29,5 +30,5 @@ class Trail:
     most_shared: int = 0
     last_s: float = 0.0
     T_odom_last: FloatArray = field(default_factory=lambda: np.eye(4))
-    T_last_next: FloatArray = field(default_factory=lambda: np.eye(4))
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
     last_ids: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
