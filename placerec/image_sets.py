@@ -117,23 +117,32 @@ def sample_images(places: Indices, per_place: int, rng: np.random.Generator) -> 
 
 
 def sample_scenes(
-    scenes: Indices, places: Indices, count: int, per_scene: int, rng: np.random.Generator
+    scenes: Indices,
+    places: Indices,
+    collections: Indices,
+    count: int,
+    per_scene: int,
+    rng: np.random.Generator,
 ) -> Indices:
     """Return the sorted indices of all images of some places of some scenes, drawn at random.
 
     Places of one scene are what is most easily confused: rounds that visit few scenes find hard
-    negatives among few images. A scene is visited as often as it has places.
+    negatives among few images. A scene is visited as often as it has places, among those of its
+    collection; the collections' scenes together all as often.
 
     Args:
         scenes: (n,) int64, a label per image: one per room, floor or recording.
         places: (n,) int64, a label per image.
+        collections: (n,) int64, a label per image, the same for all of a scene.
         count: how many scenes.
         per_scene: how many places of each, at most.
         rng: what all draws come from.
     """
     _, first = np.unique(places, return_index=True)  # one image of each place
-    labels, sizes = np.unique(scenes[first], return_counts=True)
-    drawn = rng.choice(labels, min(count, len(labels)), replace=False, p=sizes / sizes.sum())
+    labels, one, sizes = np.unique(scenes[first], return_index=True, return_counts=True)
+    _, kinds = np.unique(collections[first[one]], return_inverse=True)
+    shares = sizes / np.bincount(kinds, weights=sizes)[kinds] / (kinds.max() + 1)
+    drawn = rng.choice(labels, min(count, len(labels)), replace=False, p=shares)
     candidates = first[np.isin(scenes[first], drawn)]
     chosen = places[_draw_of_each(candidates, scenes[candidates], per_scene, rng)]
     return np.flatnonzero(np.isin(places, chosen))

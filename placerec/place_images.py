@@ -20,6 +20,11 @@ class PlaceImages(Protocol):
         """(n,) int64, a label per image: one per room, building or recording."""
         ...
 
+    @property
+    def collections(self) -> NDArray[np.int64]:
+        """(n,) int64, a label per image: one per kind of images, each to count the same."""
+        ...
+
     def alike(self, indices: NDArray[np.int64], /) -> NDArray[np.bool_]:
         """Return (m, m) bool for m images: pairs that may show one place whatever their labels."""
         ...

@@ -156,6 +156,7 @@ class Training:
         visited = sample_scenes(
             scenes,
             places,
+            self._images.collections,
             config.scenes_per_round or len(scenes),
             config.places_per_scene or len(places),
             rng,
@@ -212,7 +213,9 @@ class Training:
 
     def _settings(self) -> dict[str, str]:
         network, size = self.network, self.network.preprocessing
-        labels = hashlib.sha256(np.ascontiguousarray(self._places, np.int64).tobytes())
+        labels = hashlib.sha256(
+            np.stack([self._places, self._images.collections]).astype(np.int64).tobytes()
+        )
         config = self._config.model_dump(mode="json", exclude=set(MAY_CHANGE))
         return {name: json.dumps(value) for name, value in config.items()} | {
             "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "

@@ -56,7 +56,7 @@ class TrainingConfig(BaseModel):
     """Changes made to the images of a step; none: what frozen layers see is worked out once."""
     mixed_precision: bool = False
     """Multiply in bfloat16 on a CPU too, as on a GPU always: faster where the CPU knows how."""
-    max_steps: int | None = Field(default=None, ge=1)
+    max_steps: int | None = Field(default=None, ge=0)
     """The training ends after so many steps; the learning rates fall to zero along a cosine."""
     max_seconds: float | None = Field(default=None, gt=0.0)
     """The training ends after this time, resumed parts added up."""

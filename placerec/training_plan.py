@@ -35,7 +35,7 @@ class TrainingPlan:
     gamma_prime: float = 0.4
     """Squared distance below which a negative is learned from; 0.4 is the paper's."""
     scenes_per_round: int | None = None
-    """Folders of DATA that are visited per round, drawn anew each time; none: all."""
+    """Recordings of DATA that are visited per round, drawn anew each time; none: all."""
     places_per_scene: int | None = None
     """Places of each that are looked at per round, drawn anew each time; none: all."""
     images_per_place: int = 8
@@ -43,7 +43,9 @@ class TrainingPlan:
     batch_sets: int = 5
     """Image sets per step."""
     steps: int | None = None
-    """Steps after which the training ends; none: when all places are told apart."""
+    """Steps after which the training ends; 0: before the first, with the fully connected layer at
+    the whitened principal components of what the trunk makes of DATA; none: when all places are
+    told apart."""
     minutes: float | None = None
     """Time after which the training ends, resumed parts added up; none: no such limit."""
     learning_rate: float = 1e-4

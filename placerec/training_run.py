@@ -4,7 +4,6 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import torch
 from pydantic import ValidationError
 from torch import Tensor
@@ -27,8 +26,8 @@ from placerec.workers import Workers
 
 WEIGHTS_NAME, PLOT_NAME = "weights.safetensors", "log.png"
 COMPONENTS_FROM, WORDS_FROM = 2000, 300
-"""Images, spread evenly, that principal components are taken from, and words for NetVLAD; more cost
-time and memory."""
+"""Images, as many of each collection, that principal components are taken from, and words for
+NetVLAD; more cost time and memory."""
 
 
 def start_training(
@@ -153,10 +152,9 @@ def _maps(
     device: torch.device,
     progress: Progress,
 ) -> Iterator[Tensor]:
-    """Yield the trunk's maps of some images, spread evenly over all."""
-    count = min(len(images), at_most)
-    chosen = np.linspace(0, len(images) - 1, count).astype(int)
-    for start in range(0, count, IMAGES_PER_PASS):
+    """Yield the trunk's maps of some images, as many of each collection."""
+    chosen = images.spread(at_most)
+    for start in range(0, len(chosen), IMAGES_PER_PASS):
         part = [images[int(i)] for i in chosen[start : start + IMAGES_PER_PASS]]
         yield network.features(network.prepare(part).to(device))
-        progress(start + len(part), count)
+        progress(start + len(part), len(chosen))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from placerec.datasets import PlaceDataset, open_dataset
+from placerec.datasets import PlaceDataset, open_collection, open_dataset
 from placerec.datasets.images import images_in
 from placerec.datasets.place_dataset import keep_readable
 from placerec.embedded_images import Progress, embed_dataset
@@ -27,6 +27,15 @@ def open_data(source: str, part: str = "test") -> PlaceDataset:
         RecognizerError: it cannot be opened.
     """
     return _name_skipped(open_dataset(source, part))
+
+
+def open_all(source: str, part: str) -> list[PlaceDataset]:
+    """Open a dataset, or all in a folder of such folders, likewise.
+
+    Raises:
+        RecognizerError: one cannot be opened.
+    """
+    return [_name_skipped(dataset) for dataset in open_collection(source, part)]
 
 
 def open_images(source: str) -> PlaceDataset:

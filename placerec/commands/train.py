@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tqdm import tqdm
 
-from placerec.commands.data import open_data
+from placerec.commands.data import open_all
 from placerec.datasets import LabelledImages
 from placerec.interruption import deferred_interrupts
 from placerec.recognizer import RecognizerError
@@ -37,7 +37,8 @@ def train(
     log.png. Measure and calibrate it on other images than these.
 
     Args:
-        data: folders in the formats of evaluate; of clips, the floors for training.
+        data: folders in the formats of evaluate, or of such folders; of clips, the floors for
+            training. Each counts the same in the training, however many images it holds.
         out: folder for the results and the checkpoint.
         plan: what is trained, and how.
     """
@@ -47,8 +48,8 @@ def train(
 
     if not data:
         raise RecognizerError("train needs at least one folder of images; see --help")
-    datasets = [open_data(source, "train") for source in data]
-    images, workers = LabelledImages(datasets), Workers()
+    collections = [open_all(source, "train") for source in data]
+    images, workers = LabelledImages(*collections), Workers()
     with deferred_interrupts() as interrupted:
         bar = _TrainingBar(plan.steps, interrupted, is_shown=workers.is_first)
         try:
@@ -60,7 +61,7 @@ def train(
             bar.close()
     if workers.is_first:
         path = write_results(training, plan, out)
-        skipped = sum(len(dataset.skipped) for dataset in datasets)
+        skipped = sum(len(dataset.skipped) for each in collections for dataset in each)
         print(
             f"the training is over: {training.end}\n"
             f"learned from {len(images)} images ({skipped} skipped)\n"

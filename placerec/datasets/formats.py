@@ -30,6 +30,26 @@ def open_dataset(source: str, part: str = "test") -> PlaceDataset:
         raise RecognizerError(f"cannot look into the folder: {error.strerror}: {source}") from error
 
 
+def open_collection(source: str, part: str = "test") -> list[PlaceDataset]:
+    """Open a dataset, or all datasets in a folder of such folders.
+
+    Raises:
+        RecognizerError: as `open_dataset`, of any of them.
+    """
+    try:
+        inner = sorted(path for path in Path(source).glob("*") if path.is_dir())
+        if _is_known(Path(source)) or not any(_is_known(path) for path in inner):
+            return [open_dataset(source, part)]
+    except OSError as error:
+        raise RecognizerError(f"cannot look into the folder: {error.strerror}: {source}") from error
+    return [open_dataset(str(path), part) for path in inner]
+
+
+def _is_known(folder: Path) -> bool:
+    is_listed = any((folder / name).is_file() for name in ("dataset.csv", "rgb.txt"))
+    return is_listed or (folder / "query").is_dir() or find_ground_truth(folder) is not None
+
+
 def _read_folder(source: str, part: str) -> PlaceDataset:
     folder, named = _split(source)
     if not folder.is_dir():

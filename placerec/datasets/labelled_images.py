@@ -20,22 +20,27 @@ KEPT = 1024
 class LabelledImages:
     """The N images of some datasets, one dataset after the other.
 
+    The datasets come in collections, such as rendered rooms and filmed ones, which are to count the
+    same however many images each has.
+
     Attributes:
         places: (N,) int64, a label per image; places of different datasets are different ones.
         scenes: (N,) int64, which dataset an image is of.
+        collections: (N,) int64, which collection.
     """
 
     places: NDArray[np.int64]
     scenes: NDArray[np.int64]
+    collections: NDArray[np.int64]
 
-    def __init__(self, datasets: Sequence[PlaceDataset]) -> None:
-        """Put one or more datasets together.
+    def __init__(self, *collections: Sequence[PlaceDataset]) -> None:
+        """Put one or more collections of datasets together.
 
         Raises:
             RecognizerError: one has no labels, or two have an image in common.
         """
-        self._datasets = tuple(datasets)
-        self._starts = np.cumsum([0, *(len(dataset) for dataset in datasets)])
+        self._datasets = tuple(dataset for each in collections for dataset in each)
+        self._starts = np.cumsum([0, *(len(dataset) for dataset in self._datasets)])
         _refuse_shared_images(self._datasets)
         labels: list[NDArray[np.int64]] = []
         count = 0
@@ -45,7 +50,10 @@ class LabelledImages:
             count += int(own.max()) + 1
         self.places = np.concatenate(labels).astype(np.int64)
         self._decoded = lru_cache(maxsize=KEPT)(self._decode)
-        self.scenes = np.repeat(np.arange(len(self._datasets)), np.diff(self._starts))
+        sizes = np.diff(self._starts)
+        self.scenes = np.repeat(np.arange(len(self._datasets)), sizes)
+        kinds = np.repeat(np.arange(len(collections)), [len(each) for each in collections])
+        self.collections = np.repeat(kinds, sizes)
 
     def __len__(self) -> int:
         return len(self.places)
@@ -67,6 +75,14 @@ class LabelledImages:
             image = np.asarray(small, np.uint8)
         image.setflags(write=False)
         return image
+
+    def spread(self, at_most: int) -> NDArray[np.int64]:
+        """Return the sorted indices of some images: of each collection as many, evenly spread."""
+        whole = [np.flatnonzero(self.collections == k) for k in np.unique(self.collections)]
+        share = at_most // len(whole)
+        return np.concatenate(
+            [own[np.linspace(0, len(own) - 1, min(share, len(own))).astype(int)] for own in whole]
+        )
 
     def alike(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (n, n) bool, which pairs of n images may show one place, whatever their labels.

@@ -220,7 +220,8 @@ def test_place_hemmed_in_by_alike_ones_makes_no_set():
 def test_scenes_are_drawn_with_all_images_of_some_of_their_places():
     scenes = np.repeat([0, 1, 2], [12, 12, 24])
     places = np.repeat(np.arange(24), 2)
-    drawn = [sample_scenes(scenes, places, 2, 3, _rng(seed)) for seed in range(60)]
+    one = np.zeros_like(scenes)
+    drawn = [sample_scenes(scenes, places, one, 2, 3, _rng(seed)) for seed in range(60)]
     for images in drawn:
         assert len(np.unique(scenes[images])) == 2
         assert [len(images[places[images] == p]) for p in np.unique(places[images])] == [2] * 6
@@ -232,4 +233,15 @@ def test_scenes_are_drawn_with_all_images_of_some_of_their_places():
 
 def test_all_scenes_and_places_where_there_are_no_more():
     scenes, places = np.array([0, 0, 1, 1]), np.array([0, 0, 1, 2])
-    assert sample_scenes(scenes, places, 9, 9, _rng()).tolist() == [0, 1, 2, 3]
+    assert sample_scenes(scenes, places, scenes, 9, 9, _rng()).tolist() == [0, 1, 2, 3]
+
+
+def test_collections_are_visited_as_often_however_large_they_are():
+    scenes = np.arange(20)
+    collections = np.where(scenes < 18, 5, 3)  # eighteen scenes of one kind, two of another
+    drawn = [
+        scenes[sample_scenes(scenes, scenes, collections, 1, 1, _rng(seed))] for seed in range(400)
+    ]
+    visits = np.bincount(np.concatenate(drawn), minlength=20)
+    assert 160 < visits[18:].sum() < 240
+    assert visits[18:].min() > 60 and visits[:18].min() > 0

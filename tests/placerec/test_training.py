@@ -41,6 +41,7 @@ class Boards:
         boards = rng.integers(0, 200, (places, 5, 6, 3))
         self.places = np.repeat(np.arange(places), views)
         self.scenes = self.places % 2
+        self.collections = np.zeros_like(self.places)
         self.reads = 0
         self._views = []
         for place in self.places:

@@ -2,6 +2,7 @@
 """Training as a user meets it: through `placerec train`."""
 
 import math
+import shutil
 import signal
 import sys
 from collections import Counter
@@ -123,6 +124,38 @@ def test_words_are_found_in_the_images_and_then_learn(tower, tmp_path, monkeypat
     assert not torch.equal(network.pool[-1].centroids, starts[0].half().float())
 
 
+def test_no_step_leaves_what_a_training_starts_from(tower, tmp_path, monkeypatch):
+    looked_at = []
+
+    def spy(self, count, progress):
+        looked_at.append(self.network.fully_connected.merged().weight.detach().clone())
+
+    monkeypatch.setattr(Learner, "look_at_all", spy)
+    assert _train(tower, tmp_path / "run", steps=0) == 0
+    assert _files(tmp_path / "run") == OUTPUTS
+    assert read_log(tmp_path / "run/log.csv") == []
+    network = LearnedRecognizer(tmp_path / "run/weights.safetensors").network
+    assert torch.equal(network.fully_connected.weight, looked_at[0].half().float())
+
+
+def test_each_of_the_data_is_a_collection_and_may_be_many_recordings(tower, tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        copy = tmp_path / "towers" / name
+        shutil.copytree(tower, copy)
+    learned_from = []
+    original = Learner.__init__
+
+    def spy(self, network, images, *others):
+        learned_from.append(images)
+        original(self, network, images, *others)
+
+    monkeypatch.setattr(Learner, "__init__", spy)
+    assert _train(tmp_path / "towers", tmp_path / "run", str(tower), steps=1) == 0
+    (images,) = learned_from
+    np.testing.assert_array_equal(images.collections, [0] * 48 + [1] * 24)
+    np.testing.assert_array_equal(images.scenes, [0] * 24 + [1] * 24 + [2] * 24)
+
+
 def test_same_command_same_bytes_and_another_seed_others(tower, tmp_path):
     for name, seed in (("a", "0"), ("b", "0"), ("c", "1")):
         assert _train(tower, tmp_path / name, "--seed", seed, steps=2) == 0
@@ -134,9 +167,9 @@ def test_clips_are_those_for_training_unless_others_are_named(tower, tmp_path, m
     seen = set()
     original = LabelledImages.__init__
 
-    def spy(self, datasets):
-        seen.update(dataset.name for dataset in datasets)
-        original(self, datasets)
+    def spy(self, *collections):
+        seen.update(dataset.name for each in collections for dataset in each)
+        original(self, *collections)
 
     monkeypatch.setattr(LabelledImages, "__init__", spy)
     assert _train(tower, tmp_path / "run", f"{tower}:test", steps=1) == 0
@@ -204,7 +237,7 @@ def test_every_loss_can_be_named(tower, tmp_path):
         (["--block", "block99"], "trunk 'mobilenet_v2' has no block 'block99'; it has: stem, "),
         (["--frozen-block", "block3"], "frozen_block = 'block3': the network is cut before it"),
         (["--loss", "hinge"], "loss = 'hinge': input should be 'multi-constraint', "),
-        (["--steps", "0"], "max_steps = 0: input should be greater than or equal to 1"),
+        (["--steps", "-1"], "max_steps = -1: input should be greater than or equal to 0"),
         (["--minutes", "-1"], "max_seconds = -60.0: input should be greater than 0"),
         (["--learning-rate", "0"], "learning_rate = 0.0: input should be greater than 0"),
         (["--grid", "0", "2"], "grid = 0 2: both numbers must be at least 1"),

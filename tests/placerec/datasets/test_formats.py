@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from placerec.datasets import open_dataset
+from placerec.datasets import open_collection, open_dataset
 from placerec.recognizer import RecognizerError
 
 
@@ -19,6 +19,28 @@ def test_each_format_is_told_by_its_files(tmp_path, write_image):
     assert sizes == {"tum": 1, "drives": 2, "college": 1}
     with pytest.raises(RecognizerError, match="only a folder of clips has parts, no 'test' here"):
         open_dataset(f"{tmp_path / 'tum'}:test")
+
+
+def test_a_folder_of_datasets_is_opened_whole_and_a_dataset_alone(tmp_path, write_image):
+    for name in ("b", "a"):
+        for drive in ("query", "ref"):
+            write_image(tmp_path / f"drives/{name}/{drive}/0.png")
+    both = open_collection(str(tmp_path / "drives"))
+    assert [dataset.name for dataset in both] == ["a", "b"]
+    (alone,) = open_collection(str(tmp_path / "drives/a"))
+    assert alone.paths == both[0].paths
+
+
+def test_every_folder_among_datasets_has_to_be_one(tmp_path, write_image):
+    for drive in ("query", "ref"):
+        write_image(tmp_path / f"drives/a/{drive}/0.png")
+    (tmp_path / "drives/notes").mkdir()
+    with pytest.raises(RecognizerError, match=r"no known format.*/drives/notes$"):
+        open_collection(str(tmp_path / "drives"))
+    with pytest.raises(RecognizerError, match=r"no known format.*/notes$"):
+        open_collection(str(tmp_path / "drives/notes"))
+    with pytest.raises(RecognizerError, match=r"no such folder.*/nowhere$"):
+        open_collection(str(tmp_path / "nowhere"))
 
 
 def test_part_of_clips_is_named_behind_a_colon(tmp_path, write_image):

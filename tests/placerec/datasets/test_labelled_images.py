@@ -61,6 +61,16 @@ def test_scenes_are_the_datasets_and_only_open_or_same_pairs_are_alike(recording
     np.testing.assert_array_equal(both.alike(np.array([3, 4, 1, 2])), expected)
 
 
+def test_collections_are_told_apart_and_spread_over_evenly(recording):
+    few, many, more = (recording(n, [0] * k, 20 * k) for n, k in (("a", 3), ("b", 4), ("c", 5)))
+    images = LabelledImages([few], [many, more])
+    np.testing.assert_array_equal(images.collections, [0] * 3 + [1] * 9)
+    np.testing.assert_array_equal(images.scenes, [0] * 3 + [1] * 4 + [2] * 5)
+    assert images.spread(4).tolist() == [0, 2, 3, 11]
+    assert images.spread(10).tolist() == [0, 1, 2, 3, 5, 7, 9, 11]  # there are no more of the first
+    assert images.spread(99).tolist() == list(range(12))
+
+
 def test_large_images_are_shrunk(tmp_path, recording):
     dataset = recording("a", [0, 1], 0)
     path = tmp_path / "large.png"
