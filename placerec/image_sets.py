@@ -128,7 +128,7 @@ def sample_scenes(
 
     Places of one scene are what is most easily confused: rounds that visit few scenes find hard
     negatives among few images. A scene is visited as often as it has places, among those of its
-    collection; the collections' scenes together all as often.
+    collection. At each draw every collection has the same chance, as long as it has scenes left.
 
     Args:
         scenes: (n,) int64, a label per image: one per room, floor or recording.

@@ -213,15 +213,15 @@ class Training:
 
     def _settings(self) -> dict[str, str]:
         network, size = self.network, self.network.preprocessing
-        labels = hashlib.sha256(
-            np.stack([self._places, self._images.collections]).astype(np.int64).tobytes()
-        )
+        labels = hashlib.sha256(np.ascontiguousarray(self._places, np.int64).tobytes())
+        collections = len(np.unique(self._images.collections))
         config = self._config.model_dump(mode="json", exclude=set(MAY_CHANGE))
         return {name: json.dumps(value) for name, value in config.items()} | {
             "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
             f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
             f"covariance {network.covariance}",
-            "images": f"{len(self._places)} with labels {labels.hexdigest()[:12]}",
+            "images": f"{len(self._places)} with labels {labels.hexdigest()[:12]}"
+            + (f" in {collections} collections" if collections > 1 else ""),
         }
 
     def _save(self) -> None:

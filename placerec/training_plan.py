@@ -43,9 +43,8 @@ class TrainingPlan:
     batch_sets: int = 5
     """Image sets per step."""
     steps: int | None = None
-    """Steps after which the training ends; 0: before the first, with the fully connected layer at
-    the whitened principal components of what the trunk makes of DATA; none: when all places are
-    told apart."""
+    """Steps after which the training ends; none: when all places are told apart. With 0 the trunk
+    stays what it is, and the fully connected layer is made anew."""
     minutes: float | None = None
     """Time after which the training ends, resumed parts added up; none: no such limit."""
     learning_rate: float = 1e-4

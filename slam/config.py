@@ -16,6 +16,7 @@ from slam.types import SlamError
 PYRAMID_SCALE = 1.2
 """Ratio between neighbouring pyramid levels; a feature's pixel noise grows with it."""
 
+Acceleration = Annotated[float, Field(ge=0.01, allow_inf_nan=False)]
 PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -113,11 +114,11 @@ class GraphConfig(Section):
 class MotionConfig(Section):
     """How the camera is carried: frames are smoothed accordingly, once all are placed."""
 
-    acceleration_m_s2: PositiveFloat = 2.0
-    """Standard deviation of the acceleration along an axis; 2 is a hand. A large number leaves the
-    frames where they were tracked."""
-    angular_acceleration_rad_s2: PositiveFloat = 5.0
-    """The same of the turning; 5 is a hand."""
+    acceleration_m_s2: Acceleration = 1.0
+    """Standard deviation of the acceleration along an axis; a calm hand's is 0.5 to 1. A large
+    number leaves the frames where they were tracked."""
+    angular_acceleration_rad_s2: Acceleration = 5.0
+    """The same of the turning; a calm hand's is 3 to 5."""
 
 
 class EvaluationConfig(Section):

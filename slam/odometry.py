@@ -37,8 +37,6 @@ _PREDICTED_RADII_PX = (15.0, 40.0)  # where the last motion should have gone on;
 # So many of the features wanted have to have depth. Frames of fr1_desk show 67 % and more, blurred
 # by 31 pixels 21 %; blurred by 121 pixels it is less than 10 %, and nothing could be matched to it.
 _WORTH_A_SEGMENT = 0.1
-# A camera lost for longer may be anywhere: it comes back by as much evidence as a loop takes.
-_STILL_CLOSE_S = 0.25
 _TRAILS = 2  # a lost camera is looked for on the last one and on the one before
 
 
@@ -75,6 +73,9 @@ class RgbdOdometry:
                 "min_support": 0.0,
             }
         )
+        # A jump needs as much as a loop, where a frame that follows does not need more.
+        fewest = max(config.odometry.min_inliers, config.verification.min_inliers)
+        self._jump_config = config.verification.model_copy(update={"min_inliers": fewest})
         self._extractor = FeatureExtractor(camera, config.features)
         self._local_map = LocalMap(camera, config)
         self._worth_a_segment = _WORTH_A_SEGMENT * config.features.count
@@ -102,11 +103,11 @@ class RgbdOdometry:
         self.settle()
         if not self._trails:
             return self._start(view)
-        placement = self._follow(view)
-        if isinstance(placement, Rejection):
-            placement = self._recover(view)
+        placement = self._find(view)
         if isinstance(placement, Placement):
             return self._go_on(view, placement)
+        for trail in self._trails:
+            trail.has_missed = True
         return self._start(view) if view.with_depth >= self._worth_a_segment else placement
 
     def settle(self) -> None:
@@ -130,11 +131,17 @@ class RgbdOdometry:
         keyframe = self._insert(view, here, turning_rad_s=0.0)
         return TrackedFrame(keyframe.id, np.eye(4), keyframe)
 
+    def _find(self, view: View) -> Placement | Rejection:
+        if not self._trails[-1].is_cold(view.frame.timestamp_s):
+            placement = self._follow(view)
+            if isinstance(placement, Placement):
+                return placement
+        return self._recover(view)
+
     def _follow(self, view: View) -> Placement | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
-        trail, config = self._trails[-1], self._evidence_for(view)
-        elapsed_s = view.frame.timestamp_s - trail.last_s
-        T_predicted = trail.T_odom_last @ se3.exp(trail.velocity * elapsed_s)
+        trail, config = self._trails[-1], self._tracking_config
+        T_predicted = trail.predict(view.frame.timestamp_s)
         last_ids = self.map.landmarks.resolve(trail.last_ids)
         last_ids = np.unique(last_ids[last_ids != UNSEEN])
         for radius_px in _PREDICTED_RADII_PX:
@@ -147,21 +154,17 @@ class RgbdOdometry:
 
     def _recover(self, view: View) -> Placement | Rejection:
         """Compare the view with all features of the last keyframes, wherever it may be."""
-        config = self._evidence_for(view)
+        is_jump = False
         for trail in reversed(self._trails):
+            is_jump = is_jump or trail.is_cold(view.frame.timestamp_s)
+            config = self._jump_config if is_jump else self._tracking_config
             placement = self._recover_on(trail, view, config)
             if isinstance(placement, Placement):
                 self._trails.remove(trail)
                 self._trails.append(trail)
                 return placement
-            if trail.is_followed:  # what was before it is a jump across the map
-                config = self._link_config
+            is_jump = is_jump or trail.is_followed  # what was before it is across the map
         return placement
-
-    def _evidence_for(self, view: View) -> VerificationConfig:
-        """Return what it takes to believe where a view is."""
-        lost_s = view.frame.timestamp_s - self._trails[-1].last_s
-        return self._tracking_config if lost_s <= _STILL_CLOSE_S else self._link_config
 
     def _recover_on(
         self, trail: Trail, view: View, config: VerificationConfig
@@ -186,13 +189,8 @@ class RgbdOdometry:
         """Remember where the camera is and how it moves; make the view a keyframe if need be."""
         trail = self._trails[-1]
         reference = trail.recent[-1]
-        T_last_cam = se3.inverse(trail.T_odom_last) @ placement.T_map_cam
-        elapsed_s = view.frame.timestamp_s - trail.last_s
-        turning_rad_s = float(se3.rotation_angle(T_last_cam)) / elapsed_s
-        trail.is_followed = True
-        trail.last_s, trail.last_ids = view.frame.timestamp_s, placement.pairs[:, 0]
-        trail.T_odom_last = placement.T_map_cam
-        trail.velocity = se3.log(T_last_cam) / elapsed_s
+        turning_rad_s = trail.follow(view.frame.timestamp_s, placement.T_map_cam)
+        trail.last_ids = placement.pairs[:, 0]
         T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ placement.T_map_cam
         if not self._needs_keyframe(placement, T_kf_cam):
             return TrackedFrame(reference.id, T_kf_cam)

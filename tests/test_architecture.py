@@ -63,7 +63,6 @@ TESTED_WITHIN = {
     "slam/report/canvas.py": "slam/report/test_page.py",
     "slam/report/path_figures.py": "slam/report/test_page.py",
     "slam/report/place_figures.py": "slam/report/test_page.py",
-    "slam/trail.py": "slam/test_odometry.py",
     "slam/types.py": "slam/report/test_page.py",
     "slam/verdict.py": "slam/test_ledger.py",
 }

@@ -38,7 +38,8 @@ def train(
 
     Args:
         data: folders in the formats of evaluate, or of such folders; of clips, the floors for
-            training. Each counts the same in the training, however many images it holds.
+            training. At each recording drawn for a round, each of them has the same chance, and the
+            fully connected layer starts from as many images of each.
         out: folder for the results and the checkpoint.
         plan: what is trained, and how.
     """

@@ -2,6 +2,7 @@
 """Which format a folder of images is in."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from placerec.datasets.clips import PARTS, read_clips
@@ -37,28 +38,47 @@ def open_collection(source: str, part: str = "test") -> list[PlaceDataset]:
         RecognizerError: as `open_dataset`, of any of them.
     """
     try:
-        inner = sorted(path for path in Path(source).glob("*") if path.is_dir())
-        if _is_known(Path(source)) or not any(_is_known(path) for path in inner):
+        inner = sorted(path for path in Path(source).glob("[!.]*") if path.is_dir())
+        if _is_dataset(Path(source)) or not any(_is_dataset(path) for path in inner):
             return [open_dataset(source, part)]
     except OSError as error:
         raise RecognizerError(f"cannot look into the folder: {error.strerror}: {source}") from error
     return [open_dataset(str(path), part) for path in inner]
 
 
-def _is_known(folder: Path) -> bool:
-    is_listed = any((folder / name).is_file() for name in ("dataset.csv", "rgb.txt"))
-    return is_listed or (folder / "query").is_dir() or find_ground_truth(folder) is not None
+def _is_dataset(folder: Path) -> bool:
+    return _holds_clips(folder) or _reader_of_whole(folder) is not None
+
+
+def _holds_clips(folder: Path) -> bool:
+    return (folder / "dataset.csv").is_file()
+
+
+def _reader_of_whole(folder: Path) -> Callable[[Path], PlaceDataset] | None:
+    """Return what reads a folder that has no parts, by what it holds."""
+    if (folder / "rgb.txt").is_file():
+        return read_tum
+    if (folder / "query").is_dir():
+        return read_frame_pairs
+    return read_oxford if find_ground_truth(folder) is not None else None
 
 
 def _read_folder(source: str, part: str) -> PlaceDataset:
     folder, named = _split(source)
     if not folder.is_dir():
         raise RecognizerError(f"there is no such folder: {folder}")
-    if (folder / "dataset.csv").is_file():
+    if _holds_clips(folder):
         return read_clips(folder, named or part)
     if named:
         raise RecognizerError(f"only a folder of clips has parts, no {named!r} here: {folder}")
-    return _read_whole(folder)
+    reader = _reader_of_whole(folder)
+    if reader is not None:
+        return reader(folder)
+    raise RecognizerError(
+        "the folder is in no known format: rgb.txt and groundtruth.txt (TUM RGB-D), query/ and "
+        "ref/ (image pairs), Images/ and ...GroundTruth.mat (New College, City Centre), or "
+        f"dataset.csv and images/ (clips, with the parts {', '.join(PARTS)}): {folder}"
+    )
 
 
 def _read_sessions(queries: Path, references: Path, tolerance: str | None) -> PlaceDataset:
@@ -98,17 +118,3 @@ def _split(source: str) -> tuple[Path, str | None]:
     if not colon or Path(source).exists() or not Path(folder).is_dir():
         return Path(source), None
     return Path(folder), part
-
-
-def _read_whole(folder: Path) -> PlaceDataset:
-    if (folder / "rgb.txt").is_file():
-        return read_tum(folder)
-    if (folder / "query").is_dir():
-        return read_frame_pairs(folder)
-    if find_ground_truth(folder) is not None:
-        return read_oxford(folder)
-    raise RecognizerError(
-        "the folder is in no known format: rgb.txt and groundtruth.txt (TUM RGB-D), query/ and "
-        "ref/ (image pairs), Images/ and ...GroundTruth.mat (New College, City Centre), or "
-        f"dataset.csv and images/ (clips, with the parts {', '.join(PARTS)}): {folder}"
-    )

@@ -77,9 +77,9 @@ class LabelledImages:
         return image
 
     def spread(self, at_most: int) -> NDArray[np.int64]:
-        """Return the sorted indices of some images: of each collection as many, evenly spread."""
+        """Return the sorted indices of about so many images, as many of each collection, spread."""
         whole = [np.flatnonzero(self.collections == k) for k in np.unique(self.collections)]
-        share = at_most // len(whole)
+        share = max(1, at_most // len(whole))
         return np.concatenate(
             [own[np.linspace(0, len(own) - 1, min(share, len(own))).astype(int)] for own in whole]
         )

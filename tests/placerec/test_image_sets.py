@@ -236,12 +236,14 @@ def test_all_scenes_and_places_where_there_are_no_more():
     assert sample_scenes(scenes, places, scenes, 9, 9, _rng()).tolist() == [0, 1, 2, 3]
 
 
-def test_collections_are_visited_as_often_however_large_they_are():
+@pytest.mark.parametrize(("count", "share_of_small"), [(1, 0.5), (3, 0.45)])
+def test_collections_have_the_same_chance_however_large_they_are(count, share_of_small):
     scenes = np.arange(20)
     collections = np.where(scenes < 18, 5, 3)  # eighteen scenes of one kind, two of another
     drawn = [
-        scenes[sample_scenes(scenes, scenes, collections, 1, 1, _rng(seed))] for seed in range(400)
+        scenes[sample_scenes(scenes, scenes, collections, count, 1, _rng(seed))]
+        for seed in range(400)
     ]
-    visits = np.bincount(np.concatenate(drawn), minlength=20)
-    assert 160 < visits[18:].sum() < 240
-    assert visits[18:].min() > 60 and visits[:18].min() > 0
+    visits = np.bincount(np.concatenate(drawn), minlength=20) / (400.0 * count)
+    assert visits[18:].sum() == pytest.approx(share_of_small, abs=0.07)
+    assert visits[18:].min() > 0.15 and visits[:18].min() > 0

@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from slam import se3
 from slam.config import MotionConfig
 from slam.smoothing import smoothed
 from slam.types import Trajectory
 
-FRAMES_PER_S = 30.0
+START_S, FRAMES_PER_S = 1e9, 30.0
 AS_TRACKED = MotionConfig(acceleration_m_s2=1e9, angular_acceleration_rad_s2=1e9)
 
 
 def carried(times_s):
     """Return a camera swung by hand: 20 cm each way, once in three seconds, turning as it goes."""
-    phase = 2.0 * np.pi * np.asarray(times_s) / 3.0
+    phase = 2.0 * np.pi * (times_s - START_S) / 3.0
     turns = 0.6 * np.column_stack([np.sin(phase), np.cos(2.0 * phase), phase])
     T_world_cam = np.array([se3.exp(np.concatenate([turn, np.zeros(3)])) for turn in turns])
     T_world_cam[:, :3, 3] = 0.2 * np.column_stack([np.sin(phase), np.cos(phase), phase])
-    return Trajectory(np.asarray(times_s), T_world_cam)
+    return Trajectory(times_s, T_world_cam)
 
 
 def shaken(truth, position_m=0.01, rotation_rad=0.005):
@@ -37,7 +38,7 @@ def errors(estimate, truth):
 
 @pytest.fixture
 def truth():
-    return carried(1e9 + np.arange(300) / FRAMES_PER_S)
+    return carried(START_S + np.arange(300) / FRAMES_PER_S)
 
 
 def test_what_a_hand_cannot_have_done_is_taken_out(truth):
@@ -73,6 +74,18 @@ def test_without_a_limit_frames_stay_where_they_were_tracked(truth):
     np.testing.assert_allclose(
         smoothed(tracked, AS_TRACKED).T_world_cam, tracked.T_world_cam, atol=1e-9
     )
+
+
+def test_frames_stamped_in_bursts_are_not_thrown_about(truth):
+    times_s = truth.timestamps_s.copy()
+    times_s[1::3], times_s[2::3] = times_s[::3] + 1e-6, times_s[::3] + 2e-6
+    in_bursts = carried(times_s)
+    assert errors(smoothed(in_bursts, MotionConfig()), in_bursts)[0] < 5e-3
+
+
+def test_no_motion_at_all_is_no_setting():
+    with pytest.raises(ValidationError, match=r"greater than or equal to 0\.01"):
+        MotionConfig(acceleration_m_s2=1e-9)
 
 
 def moved(trajectory, first, by_m):
