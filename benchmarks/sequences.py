@@ -59,8 +59,8 @@ class Run:
 
     @property
     def unstaged_s(self) -> float:
-        """Seconds outside the pipeline's stages: start-up, report, map."""
-        return float(self.seconds - sum(self.summary["stage_seconds"].values()))
+        """Seconds before the first frame and after the last: start-up, report, map."""
+        return float(self.seconds - self.summary["elapsed_s"])
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,10 @@
 
     python benchmarks/train_default.py WORK --ie-tower FOLDER --mobilenet mobilenet_v2.npz [--ship]
 
-Renders the scenes, trains on small images and then twice on larger ones, with the scenes as they
-come and with photographs counting as much as renders, averages the two trunks, whitens what that
-makes of both, and calibrates on floors that were not trained on: about two hours on two cores. What
-is done already is not done again. With --ship the result replaces the shipped weights.
+Renders the scenes, trains on small images and then twice on larger ones, with all scenes as they
+come and with photographs as likely to be drawn as renders, averages the two trunks, whitens what
+that makes of both kinds, and calibrates on floors that were not trained on: about two hours on two
+cores. What is done already is not done again. With --ship the result replaces the shipped weights.
 
 With --loss triplet it trains the default's twin, placerec/weights/triplet.safetensors: all the same
 but for the loss, for the paper's main comparison.
@@ -68,7 +68,7 @@ def main() -> int:
 
     small = train("small", options.mobilenet, few, *LEARNING, *SMALL, "--seed", "0")
     first = train("as-they-come", small, all_, *LEARNING, *LARGE, "--seed", "1")
-    second = train("half-photographs", small, *alike, *LEARNING, *LARGE, "--seed", "2")
+    second = train("more-photographs", small, *alike, *LEARNING, *LARGE, "--seed", "2")
     average = _average([first, second], options.work / f"{options.loss}-average.safetensors")
     weights = train("last", average, *alike, *LAST)
     if options.ship:

@@ -28,7 +28,8 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - alignment, scale: how the ATE was taken; the scale is never adjusted.
     - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind
       it; matched_share is that of the tracked frames.
-    - frames_per_second, stage_seconds, stage_ms_per_frame: wall time of the stages.
+    - elapsed_s, frames_per_second, stage_seconds, stage_ms_per_frame: wall time, of the run and of
+      its stages, some of which overlap.
     """
     return {
         "camera": {**asdict(result.camera), "distortion": list(result.camera.distortion)},
@@ -104,9 +105,9 @@ def _relative_errors(when: str, error: TrajectoryError | None) -> dict[str, obje
 
 def _speed(result: SlamResult) -> dict[str, object]:
     frames = len(result.trajectory) + len(result.untracked_s)
-    total_s = sum(result.stage_seconds.values())
     return {
-        "frames_per_second": frames / total_s if total_s > 0.0 else None,
+        "elapsed_s": result.elapsed_s,
+        "frames_per_second": frames / result.elapsed_s if result.elapsed_s > 0.0 else None,
         "stage_seconds": dict(result.stage_seconds),
         "stage_ms_per_frame": {
             stage: 1000.0 * seconds / frames for stage, seconds in result.stage_seconds.items()

@@ -196,6 +196,7 @@ class Slam:
             calibration=calibration,
             unjoined_s=self._rides.unjoined_s(T_world_kf),
             session_starts_s=np.array(self._session_starts_s),
+            elapsed_s=self.clock.elapsed_s,
         )
 
     def _last_failure(self) -> tuple[str, ...]:

@@ -226,11 +226,12 @@ class SlamResult:
         min_similarity: the threshold from which candidates were verified.
         untracked_s: timestamps of the frames that are in no trajectory, because tracking lost them,
             their part of the map was not joined, or the recognizer failed before their keyframe.
-        stage_seconds: total wall time per stage, in the order of the pipeline.
+        stage_seconds: total wall time per stage, in the order of the pipeline; some overlap.
         warnings: what a user should know before trusting the result; one sentence each.
         calibration: where the recognizer's threshold comes from, None where nobody says so.
         unjoined_s: those of the untracked frames that are in a part that was not joined.
         session_starts_s: timestamp of the first frame of each session after the first.
+        elapsed_s: wall time of the whole run, waiting for frames included.
     """
 
     camera: Camera
@@ -248,3 +249,4 @@ class SlamResult:
     calibration: Calibration | None = None
     unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    elapsed_s: float = 0.0

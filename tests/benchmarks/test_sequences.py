@@ -32,6 +32,7 @@ def run(benchmark):
             for when in ("before", "after")
         }
         summary |= {"loops_false": None, "loops_judged": None, "rpe_interval_s": 1.0}
+        summary |= {"elapsed_s": 2.0}
         summary |= {"stage_seconds": {"track": 2.0}, "stage_ms_per_frame": {"track": 100.0}}
         return benchmark.Run(seconds, 2 * seconds, 300.0, summary, outputs)
 

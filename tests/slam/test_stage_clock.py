@@ -19,6 +19,13 @@ def test_seconds_add_up_per_stage_in_the_order_of_the_pipeline(clock):
     assert list(clock.seconds.items()) == [("track", 5.0), ("graph", 2.0)]
 
 
+def test_time_passes_between_stages_and_only_once_where_they_overlap(clock):
+    with clock.stage("track"), clock.stage("graph"):
+        pass
+    assert clock.seconds == {"graph": 9.0, "track": 12.0}
+    assert clock.elapsed_s == 12.0
+
+
 def test_a_stage_that_fails_has_taken_its_time_too(clock):
     with pytest.raises(KeyboardInterrupt), clock.stage("track"):
         raise KeyboardInterrupt

@@ -41,6 +41,7 @@ def result():
         min_similarity=0.5,
         untracked_s=np.array([8.0, 9.0]),
         stage_seconds={"read": 0.1, "track": 0.4},
+        elapsed_s=0.5,
         warnings=(),
     )
 
@@ -113,4 +114,4 @@ def test_warnings_come_before_the_report(result):
 
 
 def test_a_run_that_took_no_time_has_no_speed(result):
-    assert not any("frames/s" in line for line in lines(replace(result, stage_seconds={}), None))
+    assert not any("frames/s" in line for line in lines(replace(result, elapsed_s=0.0), None))

@@ -183,6 +183,7 @@ def test_all_links_and_accepted_loops_come_into_the_graph(frames, monkeypatch):
 def test_stages_are_in_the_order_of_the_pipeline(result):
     assert list(result.stage_seconds) == ["track", "describe", "close loops", "graph", "adjust"]
     assert all(seconds > 0.0 for seconds in result.stage_seconds.values())
+    assert result.elapsed_s >= max(result.stage_seconds.values())
 
 
 def test_two_runs_give_the_same_bits(frames, result):
