@@ -106,7 +106,8 @@ def render(
         false=sum(loop.kind == FALSE for loop in loops),
         used_otherwise=is_other_threshold(result),
         paths=paths,
-        stages=stages(result.stage_seconds, frames),
+        stages=[stage(*each, result.elapsed_s, frames) for each in result.stage_seconds.items()],
+        whole=stage("the whole run", result.elapsed_s, result.elapsed_s, frames),
         settings=settings_toml,
         versions=versions(),
     )
@@ -149,13 +150,10 @@ def count(loops: list[Decision]) -> list[tuple[str, str, int]]:
     return [(kind, labels[kind], numbers[kind]) for kind in _KINDS if kind in numbers]
 
 
-def stages(stage_seconds: dict[str, float], frames: int) -> list[Stage]:
-    """Return the time per stage, in the order of the pipeline."""
-    total = sum(stage_seconds.values()) or 1.0
-    return [
-        Stage(name, seconds, 1000 * seconds / max(frames, 1), seconds / total)
-        for name, seconds in stage_seconds.items()
-    ]
+def stage(name: str, seconds: float, elapsed_s: float, frames: int) -> Stage:
+    """Return the time that a stage took, and its share of that of the run."""
+    share = seconds / elapsed_s if elapsed_s > 0.0 else 0.0
+    return Stage(name, seconds, 1000 * seconds / max(frames, 1), share)
 
 
 def versions() -> list[tuple[str, str]]:

@@ -121,6 +121,7 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
         untracked_s=np.empty(0),
         stage_seconds={"read": 1.2, "track": 2.4, "describe": 0.6, "verify": 0.9, "optimise": 0.2},
         warnings=(),
+        elapsed_s=4.0,
     )
     errors = (
         np.linalg.norm(poses[:, :3, 3] - true_poses[:, :3, 3], axis=1)

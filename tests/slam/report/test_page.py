@@ -108,9 +108,20 @@ def test_inner_references_of_the_drawings_are_unique_and_resolve(page: Page) -> 
 
 
 def test_the_conditions_stand_beside_the_errors(page: Page) -> None:
-    for words in ("at most 20 ms away", "SE(3)", "1 (not estimated", "100.0 % of the sequence"):
+    for words in (
+        "at most 20 ms away",
+        "SE(3)",
+        "1 (not estimated",
+        "both paths alike",
+        "100.0 % of the sequence",
+    ):
         assert words in page.text
     assert "ground truth" in page.text
+
+
+def test_a_run_is_as_long_as_its_clock_says_though_its_stages_overlap(page: Page, run) -> None:
+    assert sum(run.result.stage_seconds.values()) == pytest.approx(5.3)
+    assert "4.0 s in all" in page.text
 
 
 def test_same_run_same_bytes(run, text: str) -> None:
