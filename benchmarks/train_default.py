@@ -4,8 +4,8 @@
     python benchmarks/train_default.py WORK --ie-tower FOLDER --mobilenet mobilenet_v2.npz [--ship]
 
 Renders the scenes, trains on small images and then twice on larger ones, with all scenes as they
-come and with photographs as likely to be drawn as renders, averages the two trunks, whitens what
-that makes of both kinds, and calibrates on floors that were not trained on: about two hours on two
+come and with photographs drawn nine times as often, averages the two trunks, whitens what that
+makes of both kinds, and calibrates on floors that were not trained on: about two hours on two
 cores. What is done already is not done again. With --ship the result replaces the shipped weights.
 
 With --loss triplet it trains the default's twin, placerec/weights/triplet.safetensors: all the same

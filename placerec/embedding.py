@@ -57,7 +57,7 @@ class LearnedRecognizer:
         self._path = path
         own = path == DEFAULT_WEIGHTS
         title = "those of the package" if own else path.name
-        self.weights = f"{self.network.title}, trained as in the paper: {title}"
+        self.weights = f"{self.network.title}, trained for places: {title}"
         self.trained_on = TRAINED_ON if own else ()
 
     @cached_property

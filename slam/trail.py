@@ -9,8 +9,8 @@ from slam import se3
 from slam.landmarks import IntArray
 from slam.types import FloatArray, Keyframe
 
-# After a longer time without a place the camera may be anywhere: less than this where it was looked
-# for in between, else so many steps.
+# Not placed for longer than this, the camera may be anywhere. Where no frame failed in between, as
+# with a slow camera, it may also take so many times its last step, if that is longer.
 _STILL_CLOSE_S, _STILL_CLOSE_STEPS = 0.25, 3.0
 # A step is not thought to go on for longer than this many times its own duration: whoever stamps
 # frames when they arrive has steps of a millisecond between long ones.

@@ -85,8 +85,7 @@ class Keyframe:
     Attributes:
         id: 0, 1, 2, ... in the order of time.
         timestamp_s: seconds.
-        T_odom_cam: (4, 4) camera pose in the odometry's (drifting) frame, which is the segment's
-            own until the run is finished.
+        T_odom_cam: (4, 4) in the odometry's (drifting) frame, its segment's own until the end.
         features: ORB features.
         preview: the frame at half resolution, for the report and the fused point cloud.
         turning_rad_s: how fast the camera turned; a rolling shutter bends such an image.
@@ -218,8 +217,7 @@ class SlamResult:
         T_world_kf: (K, 4, 4) their corrected poses, NaN in a part of the map that was not joined to
             the largest; the world is the camera of the first that has a place.
         odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
-        trajectory: the same frames, corrected: each rides on its keyframe. Both are smoothed where
-            the camera was tracked here, by up to some centimetres; keyframes stay where they are.
+        trajectory: the same, corrected. Both are smoothed where the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.

@@ -44,11 +44,11 @@ def test_threshold_comes_with_the_weights(recognizer):
 
 def test_it_says_which_weights_it_runs_on(recognizer):
     assert recognizer.weights == (
-        "mobilenet_v2 block3 at 96x72 px, trained as in the paper: w.safetensors"
+        "mobilenet_v2 block3 at 96x72 px, trained for places: w.safetensors"
     )
     assert recognizer.trained_on == ()
     default = LearnedRecognizer()
-    assert default.weights.endswith("trained as in the paper: those of the package")
+    assert default.weights.endswith("trained for places: those of the package")
     assert default.trained_on == ("ie_tower:train",)
 
 
