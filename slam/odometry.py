@@ -20,6 +20,7 @@ from slam.relative_pose import (
     measure_relative_pose,
     with_floor,
 )
+from slam.rolling_shutter import straightened
 from slam.trail import Trail
 from slam.types import (
     Camera,
@@ -99,8 +100,11 @@ class RgbdOdometry:
         A frame that shows enough, but nothing of what was seen last, begins a new segment.
         """
         features = self._extractor.extract(frame)
-        view = View(frame, features, FeatureGrid(features, self._camera))
         self.settle()
+        if self._camera.readout_s > 0.0 and self._trails:
+            velocity = self._trails[-1].velocity(frame.timestamp_s)
+            features = straightened(features, self._camera, velocity)
+        view = View(frame, features, FeatureGrid(features, self._camera))
         if not self._trails:
             return self._start(view)
         placement = self._find(view)

@@ -56,6 +56,11 @@ class Trail:
         ahead = (timestamp_s - self.last_s) / self._step_s
         return self.T_odom_last @ se3.exp(self._step * min(ahead, _LONGEST_STEP))
 
+    def velocity(self, timestamp_s: float) -> FloatArray:
+        """Return the (6,) tangent per second of the last step; zeros if that was too long ago."""
+        is_over = timestamp_s - self.last_s > _STILL_CLOSE_S
+        return np.zeros(6) if is_over else self._step / self._step_s
+
     def is_cold(self, timestamp_s: float) -> bool:
         """Return whether nothing was known of the camera for so long that it may be anywhere."""
         usual_s = 0.0 if self.has_missed else _STILL_CLOSE_STEPS * self._step_s

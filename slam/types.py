@@ -25,6 +25,7 @@ class Camera:
         fx, fy, cx, cy: focal lengths and principal point, pixels.
         distortion: k1, k2, p1, p2, k3 of OpenCV's (Brown-Conrady) model; zeros for none.
         depth_scale: depth image units per metre (5000 in the TUM RGB-D benchmark).
+        readout_s: between the first row's exposure and the last's; 0 for a global shutter.
     """
 
     width: int
@@ -35,6 +36,7 @@ class Camera:
     cy: float
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     depth_scale: float = 5000.0
+    readout_s: float = 0.0
 
     @property
     def matrix(self) -> FloatArray:
@@ -89,8 +91,7 @@ class Keyframe:
         features: ORB features.
         preview: the frame at half resolution, for the report and the fused point cloud.
         turning_rad_s: how fast the camera turned; a rolling shutter bends such an image.
-        segment: a number per stretch without interruption; where the camera was lost or a session
-            ended, another begins, and only loops tell how the two lie to each other.
+        segment: a number per stretch in which the camera was not lost and no session ended.
     """
 
     id: int
@@ -214,16 +215,15 @@ class SlamResult:
     Attributes:
         camera: the camera it was run with.
         keyframes: the K keyframes in order of time.
-        T_world_kf: (K, 4, 4) their corrected poses, NaN in a part of the map that was not joined to
-            the largest; the world is the camera of the first that has a place.
+        T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
         odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
         trajectory: the same, corrected. Both are smoothed where the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
         min_similarity: the threshold from which candidates were verified.
-        untracked_s: timestamps of the frames that are in no trajectory, because tracking lost them,
-            their part of the map was not joined, or the recognizer failed before their keyframe.
+        untracked_s: timestamps of the frames that are in no trajectory: lost, not joined, or later
+            than a failure of the recognizer.
         stage_seconds: total wall time per stage, in the order of the pipeline; some overlap.
         warnings: what a user should know before trusting the result; one sentence each.
         calibration: where the recognizer's threshold comes from, None where nobody says so.

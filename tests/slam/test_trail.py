@@ -36,6 +36,11 @@ def test_a_camera_that_only_started_is_thought_to_stay():
     np.testing.assert_array_equal(Trail(segment=0, last_s=10.0).predict(10.1), np.eye(4))
 
 
+def test_velocity_is_that_of_the_last_step_and_unknown_after_a_while(trail):
+    np.testing.assert_allclose(trail.velocity(10.2), STEP / 0.1)
+    np.testing.assert_array_equal(trail.velocity(10.5), np.zeros(6))
+
+
 def test_a_trail_is_cold_a_while_after_the_camera_was_lost(trail):
     trail.has_missed = True
     assert not trail.is_cold(10.3) and trail.is_cold(10.4)
