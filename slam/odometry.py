@@ -101,8 +101,8 @@ class RgbdOdometry:
         """
         features = self._extractor.extract(frame)
         self.settle()
-        if self._camera.readout_s > 0.0 and self._trails:
-            velocity = self._trails[-1].velocity(frame.timestamp_s)
+        if self._trails and (readout_s := self._camera.readout_s) > 0.0:
+            velocity = self._trails[-1].velocity(frame.timestamp_s, shortest_s=readout_s)
             features = straightened(features, self._camera, velocity)
         view = View(frame, features, FeatureGrid(features, self._camera))
         if not self._trails:

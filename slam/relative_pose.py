@@ -24,8 +24,9 @@ from slam.types import (
 _MIN_FOR_POSE = 6
 # What repeated views of one place disagree by however many features they share: depth distortion,
 # colour and depth taken at different instants, and, growing with the speed of the turn, the rolling
-# shutter. Measured on fr1_xyz (`python benchmarks/motion_noise.py fr1_xyz`); without it the graph
-# would trust large sets of inliers blindly.
+# shutter. Measured on fr1_xyz (`python benchmarks/motion_noise.py fr1_xyz`) before its images were
+# straightened, so that it is too much by now; without it the graph would trust large sets of
+# inliers blindly.
 _ROTATION_FLOOR_RAD = 0.005
 _TRANSLATION_FLOOR_M = 0.006
 _ROTATION_PER_TURNING_S = 0.025

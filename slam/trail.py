@@ -56,10 +56,15 @@ class Trail:
         ahead = (timestamp_s - self.last_s) / self._step_s
         return self.T_odom_last @ se3.exp(self._step * min(ahead, _LONGEST_STEP))
 
-    def velocity(self, timestamp_s: float) -> FloatArray:
-        """Return the (6,) tangent per second of the last step; zeros if that was too long ago."""
+    def velocity(self, timestamp_s: float, shortest_s: float) -> FloatArray:
+        """Return the (6,) tangent per second of the last step; zeros if that was too long ago.
+
+        Args:
+            timestamp_s: now.
+            shortest_s: no step really takes less, whatever its time stamps say.
+        """
         is_over = timestamp_s - self.last_s > _STILL_CLOSE_S
-        return np.zeros(6) if is_over else self._step / self._step_s
+        return np.zeros(6) if is_over else self._step / max(self._step_s, shortest_s)
 
     def is_cold(self, timestamp_s: float) -> bool:
         """Return whether nothing was known of the camera for so long that it may be anywhere."""

@@ -65,7 +65,7 @@ class Features:
 
     Attributes:
         pixels: (N, 2) float64, where each was seen in the (distorted) image.
-        undistorted_px: (N, 2) float64, the same after removing lens distortion.
+        undistorted_px: (N, 2) float64, without what lens and rolling shutter do.
         octaves: (N,) int, pyramid level: a feature's pixel noise grows with it.
         descriptors: (N, 32) uint8.
         depth_m: (N,) float64, metres along the optical axis, NaN where unknown.

@@ -74,7 +74,8 @@ def freiburg_camera(folder: Path) -> Camera:
         "which camera made this sequence is not known: its folder's name says neither fr1, fr2 nor"
         f" fr3; put a {CAMERA_FILE} into it, or give --input.camera FILE.toml, with the keys width,"
         " height, fx, fy, cx, cy (pixels), depth_scale (depth image units per metre) and, if the"
-        f" lens distorts, distortion = [k1, k2, p1, p2, k3]: {folder}"
+        " lens distorts, distortion = [k1, k2, p1, p2, k3]; for a rolling shutter, readout_s, the"
+        f" seconds from the first row to the last: {folder}"
     )
 
 

@@ -126,6 +126,16 @@ def test_black_frames_are_marked_and_those_after_them_tracked(frames, T_first_ca
     assert error_m.max() < 0.05 and error_deg.max() < 2.0
 
 
+def test_a_bent_image_is_straightened_with_care_for_its_time_stamps(frames):
+    """Every other frame is stamped a millisecond after the one before, as if on arrival."""
+    odometry = RgbdOdometry(replace(CAMERA, readout_s=0.026), Config())
+    for i, frame in enumerate(frames[:20]):
+        stamped_s = 0.06 * (i - 1) + 1e-3 if i % 2 else 0.06 * i
+        tracked = odometry.track(replace(frame, timestamp_s=stamped_s))
+        assert isinstance(tracked, TrackedFrame)
+        assert tracked.new_keyframe is None or tracked.new_keyframe.segment == 0
+
+
 def test_a_blank_start_is_skipped_until_there_is_something_to_see(frames):
     tracked = run([black(frames[0]), black(frames[1]), *frames[2:5]])
     assert tracked[:2] == [Rejection(RejectionReason.FEW_MATCHES, 0, 15)] * 2

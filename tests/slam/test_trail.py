@@ -37,8 +37,13 @@ def test_a_camera_that_only_started_is_thought_to_stay():
 
 
 def test_velocity_is_that_of_the_last_step_and_unknown_after_a_while(trail):
-    np.testing.assert_allclose(trail.velocity(10.2), STEP / 0.1)
-    np.testing.assert_array_equal(trail.velocity(10.5), np.zeros(6))
+    np.testing.assert_allclose(trail.velocity(10.2, 0.03), STEP / 0.1)
+    np.testing.assert_array_equal(trail.velocity(10.5, 0.03), np.zeros(6))
+
+
+def test_no_step_is_taken_to_be_shorter_than_an_image_takes(trail):
+    trail.follow(10.101, se3.exp(2.0 * STEP))
+    np.testing.assert_allclose(trail.velocity(10.2, 0.03), STEP / 0.03, atol=1e-9)
 
 
 def test_a_trail_is_cold_a_while_after_the_camera_was_lost(trail):
