@@ -124,12 +124,12 @@ class RgbdOdometry:
 
     def _start(self, view: View) -> TrackedFrame | Rejection:
         """Begin a segment whose origin is the view."""
-        needed = self._tracking_config.min_matches
-        if view.with_depth < needed:
+        if view.with_depth < (needed := self._tracking_config.min_matches):
             return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
         # A segment that no second frame followed is nothing to come back to.
         worthwhile = [trail for trail in self._trails if trail.is_followed]
-        self._trails = [*worthwhile[1 - _TRAILS :], Trail(self._segments)]
+        trail = Trail(self._segments, last_s=view.frame.timestamp_s)
+        self._trails = [*worthwhile[1 - _TRAILS :], trail]
         self._segments += 1
         here = Placement(np.eye(4), empty_pairs(), np.zeros((6, 6)))
         keyframe = self._insert(view, here, turning_rad_s=0.0)
@@ -220,7 +220,7 @@ class RgbdOdometry:
             view.features, view.grid, placement.T_map_cam, placement.pairs
         )
         trail = self._trails[-1]
-        trail.last_s, trail.most_shared, self._near = view.frame.timestamp_s, 0, trail.segment
+        trail.most_shared, self._near = 0, trail.segment
         keyframe = Keyframe(
             id=new_id,
             timestamp_s=view.frame.timestamp_s,
