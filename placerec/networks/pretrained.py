@@ -76,7 +76,11 @@ def find_pretrained(name: str) -> Path | None:
     `download_pretrained`, and in the folders in these.
     """
     for folder in weights_folders():
-        for path in sorted((*folder.glob("*"), *folder.glob("*/*"))):
+        # Where SqueezeNet or MobileNetV2 lie beside torchvision's, only the archive is of use here.
+        archives_first = sorted(
+            (*folder.glob("*"), *folder.glob("*/*")), key=lambda path: (path.suffix != ".npz", path)
+        )
+        for path in archives_first:
             is_its = _is_of(name.lower(), path.name.lower())
             if is_its and path.suffix in SUFFIXES and path.is_file():
                 return path

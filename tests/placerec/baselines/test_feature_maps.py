@@ -56,6 +56,13 @@ def test_a_checkpoint_of_netvlad_is_not_taken_for_the_network_that_it_begins_wit
     assert find_pretrained("netvlad") == machine / name
 
 
+def test_an_archive_is_found_before_a_file_of_torchvision(machine):
+    machine.mkdir(parents=True)
+    for name in ("squeezenet1_0-b66bff10.pth", "squeezenet_v1.0.npz"):
+        (machine / name).write_bytes(b"")
+    assert find_pretrained("squeezenet") == machine / "squeezenet_v1.0.npz"
+
+
 def test_a_folder_is_no_file_of_weights(machine):
     (machine / "mobilenet_v2.npz").mkdir(parents=True)
     assert find_pretrained("mobilenet_v2") is None
