@@ -8,8 +8,9 @@
 Untrained ones, or those that trainings left in weights files.
 
 From the root of the repository. DATA holds ie_tower and rgbd_dataset_freiburg1_xyz; nothing else of
-it is opened. SCENES and PATHS are made by benchmarks/training_scenes.py. All candidates take about
-two hours on one thread.
+it is opened. SCENES and PATHS are made by `python -m benchmarks.training_scenes`, and so are paths
+around what fr1_xyz recorded, for --views, which are measured on but do not count. All candidates
+take about two hours on one thread.
 """
 
 import argparse
@@ -38,7 +39,7 @@ def main() -> None:
     """Do what the command line asks for."""
     arguments = _arguments()
     torch.set_num_threads(1)
-    domains = open_domains(arguments.data, arguments.validation)
+    domains = open_domains(arguments.data, arguments.validation, arguments.views)
     rows: list[tuple[str, dict[str, float], float, float]] = []
     for name, network in _trained(arguments) if arguments.trained else _untrained(arguments):
         scores = judge(domains, embed(network, all_images(domains)))
@@ -72,6 +73,7 @@ def _arguments() -> argparse.Namespace:
         parser.add_argument(f"--{name}", type=Path, required=True)
     for name in ("scenes", "trunk-weights"):
         parser.add_argument(f"--{name}", type=Path, help="for untrained networks")
+    parser.add_argument("--views", type=Path, help="folder of paths around fr1_xyz; shown only")
     parser.add_argument("--only", default="", help="candidates whose name has this in it")
     parser.add_argument("--trained", type=Path, nargs="+", metavar="FILE", help="weights files")
     arguments = parser.parse_args()

@@ -34,10 +34,14 @@ class ImageSet:
 
 
 Domains = dict[str, list[ImageSet]]
+SHOWN_ONLY = "views"
+"""A domain that came after the rule: it is shown, and does not count."""
 
 
-def open_domains(data: Path, validation: Path) -> Domains:
+def open_domains(data: Path, validation: Path, views: Path | None = None) -> Domains:
     """Open all domains: ie_tower and fr1_xyz in one folder, rendered paths in another.
+
+    In a third one there may be paths around the desk of fr1_xyz.
 
     Raises:
         RecognizerError: one of them is missing or broken.
@@ -47,13 +51,17 @@ def open_domains(data: Path, validation: Path) -> Domains:
         kind: [open_dataset(str(folder)) for folder in sorted(validation.glob(f"{kind}*"))]
         for kind in ("room", "desk")
     }
-    return {
+    domains = {
         "floors": [ImageSet(clips, clips)],
         "walk": [second_pass(clips)],
         "rooms": [ImageSet(path, path) for path in paths["room"]],
         "desks": [ImageSet(path, path) for path in paths["desk"]],
         "xyz": [_by_tight_truth(data / "rgbd_dataset_freiburg1_xyz")],
     }
+    if views:
+        around = [open_dataset(str(folder)) for folder in sorted(views.glob("view*"))]
+        domains[SHOWN_ONLY] = [ImageSet(path, path) for path in around]
+    return domains
 
 
 def second_pass(clips: PlaceDataset) -> ImageSet:
@@ -123,5 +131,6 @@ def judge(domains: Domains, embeddings: NDArray[np.float32]) -> dict[str, float]
 
 
 def overall(scores: dict[str, float], without: str | None = None) -> float:
-    """Return the geometric mean of all domains' scores, or of all but one."""
-    return float(np.exp(np.mean([np.log(x) for name, x in scores.items() if name != without])))
+    """Return the geometric mean of the scores of all domains that count, or of all but one."""
+    left_out = {SHOWN_ONLY, without}
+    return float(np.exp(np.mean([np.log(x) for name, x in scores.items() if name not in left_out])))

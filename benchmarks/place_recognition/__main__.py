@@ -4,9 +4,9 @@
     python -m benchmarks.place_recognition --data DATA --scenes SCENES --validation PATHS \
         --trunk-weights WEIGHTS --runs runs/page [--part 1/2 | --only-page | --list]
 
-From the root of the repository. SCENES and PATHS are made by benchmarks/training_scenes.py (with
---paths). A finished training is not repeated, an interrupted one resumes. With --part, several
-processes share the trainings and no page is written; write it afterwards with --only-page.
+From the root of the repository. SCENES and PATHS are made by `python -m benchmarks.training_scenes`
+(with --paths). A finished training is not repeated, an interrupted one resumes. With --part,
+several processes share the trainings and no page is written; write it afterwards with --only-page.
 """
 
 import argparse

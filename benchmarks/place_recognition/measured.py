@@ -73,12 +73,13 @@ def _scores(
     similarities: Mapping[str, Similarities], sets: Sequence[EvaluationSet]
 ) -> dict[str, Score]:
     return {
-        each.name: mean_score(_score(similarities[d.name], d) for d in each.datasets)
+        each.name: mean_score(score_of(similarities[d.name], d) for d in each.datasets)
         for each in sets
     }
 
 
-def _score(similarities: Similarities, dataset: PlaceDataset) -> Score:
+def score_of(similarities: Similarities, dataset: PlaceDataset) -> Score:
+    """Return the figures of (Q, R) similarities."""
     best = best_match_curve(similarities, dataset)
     return Score(
         average_precision=pair_curve(similarities, dataset).area,

@@ -63,3 +63,7 @@ def test_each_set_is_judged_by_its_own_embeddings():
 def test_a_tenth_more_counts_the_same_in_every_domain():
     assert overall({"a": 0.55, "b": 0.1}) == pytest.approx(overall({"a": 0.5, "b": 0.11}))
     assert overall({"a": 0.55, "b": 0.1}, without="b") == pytest.approx(0.55)
+
+
+def test_a_domain_that_came_later_does_not_count():
+    assert overall({"a": 0.5, "views": 0.1}) == pytest.approx(0.5)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes scenes to learn places from: folders in TUM RGB-D's format, every view with its pose.
+
+    python -m benchmarks.training_scenes OUT --photographs ie_tower [--rooms 60] [--desks 60]
+    python -m benchmarks.training_scenes OUT --photographs ie_tower --recording FOLDER
+    python -m benchmarks.training_scenes OUT --photographs ie_tower:validation --paths --seed 9000
+
+From the root of the repository. Rooms and cluttered tables are rendered; of a recording with depth
+and true poses, as rgbd_dataset_freiburg1_xyz is one, views are made that its camera never had. With
+--paths the camera is carried around instead, as in a recording, which is what to validate with.
+Scenes that are there are kept.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+from benchmarks.training_scenes.folder import write_folder
+from benchmarks.training_scenes.recorded import RecordedPlace
+from benchmarks.training_scenes.rendered import views
+from placerec.datasets import open_dataset
+
+PATHS_OF_A_RECORDING = 4
+
+
+def main() -> int:
+    """Make what is not there yet."""
+    options = _arguments()
+    images = open_dataset(options.photographs, "train")
+    photographs = [images[i] for i in range(0, len(images), 3)]
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.recording:
+        names = [f"view{n:03d}" for n in range(PATHS_OF_A_RECORDING if options.paths else 1)]
+        todo = [(n, options.out / name) for n, name in enumerate(names)]
+        todo = [(n, folder) for n, folder in todo if not folder.exists()]
+        place = RecordedPlace(options.recording) if todo else None
+        for n, folder in tqdm(todo, desc="looking", unit="scene"):
+            make = place.path if options.paths else place.views_of_places
+            write_folder(folder, make(photographs, options.seed + n))
+        return 0
+    for kind, count in (("room", options.rooms), ("desk", options.desks)):
+        for n in tqdm(range(count), desc=f"{kind}s", unit="scene"):
+            folder = options.out / f"{kind}{n:03d}"
+            if not folder.exists():
+                seen = views(kind, options.seed + n, photographs, options.paths)
+                write_folder(folder, seen)
+    return 0
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--photographs", required=True, help="whose images are pasted on surfaces")
+    parser.add_argument("--rooms", type=int, default=60)
+    parser.add_argument("--desks", type=int, default=60)
+    parser.add_argument("--recording", type=Path, help="look at it anew, instead of at those")
+    parser.add_argument("--paths", action="store_true")
+    parser.add_argument("--seed", type=int, default=1000)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera poses of people's hands: somewhere, a little beside it, or carried around."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slam.se3 import from_rotation_translation, inverse, rotation_angle
+from slam.types import FloatArray
+
+PATH_VIEWS, PATH_S = 480, 45.0  # of which readers of video use every third
+R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def pose(position_m: FloatArray, yaw_rad: float, pitch_rad: float, roll_rad: float) -> FloatArray:
+    """Return T_world_cam: looking along x for zero angles, up with the pitch, z is up."""
+    R_world_body = Rotation.from_euler("ZY", [yaw_rad, -pitch_rad]).as_matrix()
+    R_cam_rolled = Rotation.from_euler("z", roll_rad).as_matrix()
+    return from_rotation_translation(R_world_body @ R_BODY_CAM @ R_cam_rolled, position_m)
+
+
+def nudged(T_world_cam: FloatArray, reach: float, rng: np.random.Generator) -> FloatArray:
+    """Return a pose at most so far away (eq. 10), the distance split between both kinds."""
+    far, share = reach * rng.random() ** 0.5, rng.uniform(0.2, 0.9)
+    moved_m, turned_rad = rng.normal(size=(2, 3))
+    moved_m *= far * share / np.linalg.norm(moved_m)
+    turned_rad *= far * (1.0 - share) / np.linalg.norm(turned_rad)
+    R = T_world_cam[:3, :3] @ Rotation.from_rotvec(turned_rad).as_matrix()
+    return from_rotation_translation(R, T_world_cam[:3, 3] + moved_m)
+
+
+def distance(T_world_a: FloatArray, T_world_b: FloatArray) -> float:
+    """Return metres plus radians between two poses (eq. 10)."""
+    T_a_b = inverse(T_world_a) @ T_world_b
+    return float(np.linalg.norm(T_a_b[:3, 3]) + rotation_angle(T_a_b))
+
+
+def path_times_s() -> FloatArray:
+    """Return the (PATH_VIEWS,) times of the views of a path."""
+    return np.linspace(0.0, PATH_S, PATH_VIEWS)
+
+
+def swing(
+    times_s: FloatArray, rng: np.random.Generator, amplitude: float, fastest: float = 0.7
+) -> FloatArray:
+    """Return (T,) values to and fro without an exact period, as a hand moves."""
+    speeds, phases = rng.uniform(0.1, fastest, (4, 1)), rng.uniform(0.0, 2.0 * np.pi, (4, 1))
+    waves = np.sin(speeds * times_s + phases).sum(axis=0)
+    return np.asarray(amplitude * waves / np.abs(waves).max())

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import islice, pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.training_scenes import recorded
+from benchmarks.training_scenes.poses import distance
+from benchmarks.training_scenes.recorded import APART, RADIUS, RecordedPlace
+from slam.config import InputConfig
+from slam.datasets import open_sequence
+from slam.datasets.synthetic import render_sequence
+from slam.types import Camera, Frame
+
+FOCAL_PX = 320.0 * recorded.FOCAL_PX / recorded.WIDTH_PX
+CAMERA = Camera(320, 240, FOCAL_PX, FOCAL_PX, 159.5, 119.5)
+RED = np.zeros((30, 40, 3), np.uint8) + np.array([255, 0, 0], np.uint8)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "room"
+    render_sequence(path, seconds=1.0, camera=CAMERA)
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(folder: Path) -> RecordedPlace:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorded, "VOXEL_M", 0.02)
+        patch.setattr(recorded, "TRUNCATION_M", 0.08)
+        patch.setattr(recorded, "FARTHEST_M", 9.0)
+        return RecordedPlace(folder)
+
+
+def first_frame(folder: Path) -> tuple[Frame, np.ndarray]:
+    sequence = open_sequence(folder, InputConfig())
+    assert sequence.ground_truth is not None
+    return sequence.frame(0), sequence.ground_truth.T_world_cam[0]
+
+
+def test_from_where_the_camera_was_the_place_looks_as_recorded(place, folder):
+    frame, T_world_cam = first_frame(folder)
+    image, share = place.look(T_world_cam, RED)
+    size = (recorded.WIDTH_PX, recorded.HEIGHT_PX)
+    taken = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA).astype(float)
+    assert share > 0.8
+    is_mesh = (image != RED[0, 0]).any(axis=2)
+    off = np.abs(image - taken)[is_mesh].mean()
+    mirrored_off = np.abs(image - taken[:, ::-1])[is_mesh].mean()
+    assert off < 0.5 * mirrored_off
+
+
+def test_what_was_never_seen_shows_the_photograph(place, folder):
+    _, T_world_cam = first_frame(folder)
+    behind = T_world_cam.copy()
+    behind[:3, :3] = T_world_cam[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+    image, share = place.look(behind, RED)
+    assert share < 0.5
+    assert (image == RED[0, 0]).all(axis=2).mean() == pytest.approx(1.0 - share, abs=0.01)
+
+
+def test_views_of_a_place_are_near_it_and_places_apart(place, monkeypatch):
+    monkeypatch.setattr(recorded, "LEAST_SEEN", 0.3)
+    monkeypatch.setattr(recorded, "VIEWS", 3)
+    monkeypatch.setattr(recorded, "PLACES", 4)
+    views = list(place.views_of_places([RED], seed=0))
+    again = list(place.views_of_places([RED], seed=0))
+    assert all(np.array_equal(a[1], b[1]) for a, b in zip(views, again, strict=True))
+    places = [views[0][2]]
+    for _, _, T in views:
+        if distance(T, places[-1]) >= APART - RADIUS:
+            places.append(T)
+        assert distance(T, places[-1]) < RADIUS
+    assert len(places) > 1
+    assert all(distance(a, b) >= APART for i, a in enumerate(places) for b in places[:i])
+
+
+def test_a_path_goes_on_in_small_steps(place, monkeypatch):
+    monkeypatch.setattr(recorded, "LEAST_SEEN", 0.0)
+    steps = list(islice(place.path([RED], seed=0), 20))
+    assert np.all(np.diff([time_s for time_s, _, _ in steps]) > 0)
+    poses = [T for _, _, T in steps]
+    assert max(distance(a, b) for a, b in pairwise(poses)) < 0.3
