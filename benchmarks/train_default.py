@@ -53,7 +53,8 @@ def main() -> int:
     parser.add_argument("--ship", action="store_true")
     options = parser.parse_args()
     scenes = options.work / "scenes"
-    _run(ROOT / "benchmarks/training_scenes.py", scenes, "--photographs", options.ie_tower, *SCENES)
+    photographs = ("--photographs", options.ie_tower)
+    _run("-m", "benchmarks.training_scenes", scenes, *photographs, *SCENES)
     rooms, desks = (sorted(scenes.glob(f"{kind}*")) for kind in ("room", "desk"))
     few = _together(options.work / "few", [*desks[:60], *rooms[:50], options.ie_tower])
     all_ = _together(options.work / "all", [*desks, *rooms, options.ie_tower])

@@ -26,6 +26,9 @@ class TrainingPlan:
     weights: Path | None = None
     """What the trunk starts from: its published weights, .pth or .npz, or those of an earlier
     training, .safetensors; none: random ones."""
+    random_last_layer: bool = False
+    """Start the fully connected layer from random weights, as the paper does, not from whitened
+    principal components of what the trunk makes of DATA."""
     loss: str = "multi-constraint"
     """What is minimised: multi-constraint, multi-constraint-full or triplet."""
     alpha: float = 0.5

@@ -36,7 +36,7 @@ def start_training(
     """Return a training as planned, or the one that the folder holds a checkpoint of.
 
     The trunk starts from the plan's weights, the fully connected layer from the whitened principal
-    components of what the trunk makes of the images.
+    components of what the trunk makes of the images, or from random weights.
 
     Args:
         plan: what is asked for.
@@ -53,7 +53,7 @@ def start_training(
     if plan.weights is not None:
         load_pretrained(network, plan.weights)
     _make(folder)
-    _start_last_layer(network, images, workers.device, plan.seed, progress)
+    _start_last_layers(network, plan, images, workers.device, progress)
     return Training(network, images, config, folder, workers=workers, progress=progress)
 
 
@@ -129,20 +129,22 @@ def _make(folder: Path) -> None:
 
 
 @torch.no_grad()
-def _start_last_layer(
+def _start_last_layers(
     network: PlaceNetwork,
+    plan: TrainingPlan,
     images: LabelledImages,
     device: torch.device,
-    seed: int,
     progress: Progress,
 ) -> None:
     network.to(device).eval()
     if isinstance(network.pool[-1], Vlad):
         maps = torch.cat(list(_maps(network, images, WORDS_FROM, device, progress)))
         local = network.pool[:-1](maps).permute(0, 2, 3, 1).flatten(end_dim=2)
-        network.pool[-1].start(local, seed)
+        network.pool[-1].start(local, plan.seed)
+    if plan.random_last_layer:
+        return
     maps_of_all = _maps(network, images, COMPONENTS_FROM, device, progress)
-    whiten(network, torch.cat([network.flatten(maps) for maps in maps_of_all]), seed)
+    whiten(network, torch.cat([network.flatten(maps) for maps in maps_of_all]), plan.seed)
 
 
 def _maps(

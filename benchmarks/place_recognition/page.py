@@ -5,6 +5,7 @@ import os
 import platform
 from collections.abc import Sequence
 from dataclasses import astuple
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from jinja2 import Environment, StrictUndefined
 from benchmarks.place_recognition.checks import checks, checks_table
 from benchmarks.place_recognition.costs import measure_costs
 from benchmarks.place_recognition.near_misses import near_misses_table
+from benchmarks.place_recognition.perfect_judges import perfect_judges_table
 from benchmarks.place_recognition.pictures import Pictures
 from benchmarks.place_recognition.results import DEFAULT, GRADIENTS, Results, collect
 from benchmarks.place_recognition.sets import open_sets
@@ -26,10 +28,13 @@ from benchmarks.place_recognition.tables import (
 )
 from benchmarks.place_recognition.trainings import (
     DIMENSIONS,
+    LOSSES,
     MAIN_TRUNK,
+    PAPERS_START,
     RECIPE,
     TRUNK_PLANS,
     compared_name,
+    papers_name,
     planned_trainings,
 )
 from placerec.output_file import write_atomically
@@ -102,6 +107,7 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
             desk,
             {title: each.similarities[desk.name] for title, each in methods.items()},
         ),
+        "perfect_judges": perfect_judges_table(desk),
         "ways": [pictures.way(t, desk, methods[t].similarities[desk.name]) for t in ways],
         "dimension_figure": pictures.dimensions(_dimension_series(results)),
         "cost_figures": pictures.costs(costs),
@@ -116,29 +122,33 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
 
 
 def _losses_tables(results: Results) -> dict[str, str]:
-    """Return multi-constraint against triplet, a table per trunk."""
+    """Return multi-constraint against triplet, a table per trunk and the paper's conditions."""
+    compared = [
+        (trunk, trunk, partial(compared_name, trunk), f"{trunk}-start") for trunk in TRUNK_PLANS
+    ]
+    papers = (f"{MAIN_TRUNK}, under the paper's conditions", MAIN_TRUNK, papers_name, PAPERS_START)
     tables = {}
-    for trunk in TRUNK_PLANS:
-        ours, theirs = (results.seeds(trunk, loss) for loss in ("multi-constraint", "triplet"))
-        if not ours:
-            continue
-        rows = []
-        for on in (each.name for each in results.sets):
-            mine, other = results.precisions(ours, on), results.precisions(theirs, on)
-            start = results.precisions([f"{trunk}-start"], on)
-            layer = results.precisions([results.best_layer(trunk)], on)
-            gain = spread(relative(mine, other), percent, relative_mean(mine, other))
-            rows.append((on, spread(mine), spread(other), gain, spread(start), spread(layer)))
-        header = (
-            "average precision",
-            "multi-constraint",
-            "triplet",
-            "difference",
-            "start",
-            results.best_layer(trunk).removeprefix(trunk).strip(),
-        )
-        tables[trunk] = markdown(header, rows)
+    for title, trunk, name_of, start in (*compared, papers):
+        ours, theirs = (results.of_both(name_of, loss) for loss in LOSSES)
+        if ours:
+            layer = results.best_layer(trunk)
+            tables[title] = _losses_table(results, ours, theirs, start, layer)
     return tables
+
+
+def _losses_table(
+    results: Results, ours: Sequence[str], theirs: Sequence[str], start: str, layer: str
+) -> str:
+    rows = []
+    for on in (each.name for each in results.sets):
+        mine, other = results.precisions(ours, on), results.precisions(theirs, on)
+        before, untrained = (results.precisions([name], on) for name in (start, layer))
+        gain = spread(relative(mine, other), percent, relative_mean(mine, other))
+        rows.append((on, spread(mine), spread(other), gain, spread(before), spread(untrained)))
+    which = layer.split(maxsplit=1)[1]
+    return markdown(
+        ("average precision", "multi-constraint", "triplet", "difference", "start", which), rows
+    )
 
 
 def _untrained_table(results: Results) -> str:

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that was measured, by what it stands for on the page."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from benchmarks.place_recognition.contenders import Contender, gradients, learned, untrained_layers
 from benchmarks.place_recognition.measured import Measured, measure_all
 from benchmarks.place_recognition.sets import DESK, EvaluationSet
 from benchmarks.place_recognition.trainings import (
+    LOSSES,
     SEEDS,
     TRUNK_PLANS,
     compared_name,
@@ -44,16 +46,16 @@ class Results:
 
     def seeds(self, trunk: str, loss: str) -> list[str]:
         """Return the trainings of one trunk with one loss, only seeds that both losses have."""
-        both = [seed for seed in SEEDS if self._has_both(trunk, seed)]
-        return [compared_name(trunk, loss, seed) for seed in both]
+        return self.of_both(partial(compared_name, trunk), loss)
+
+    def of_both(self, name_of: Callable[[str, int], str], loss: str) -> list[str]:
+        """Return the trainings with one loss, called by loss and seed; seeds that both have."""
+        both = [seed for seed in SEEDS if all(name_of(each, seed) in self.found for each in LOSSES)]
+        return [name_of(loss, seed) for seed in both]
 
     def best_layer(self, trunk: str, on: str = DESK) -> str:
         """Return the untrained layer with the largest average precision."""
         return max(self.layers[trunk], key=lambda name: self.precisions([name], on))
-
-    def _has_both(self, trunk: str, seed: int) -> bool:
-        names = (compared_name(trunk, loss, seed) for loss in ("multi-constraint", "triplet"))
-        return all(name in self.found for name in names)
 
 
 def collect(

@@ -48,6 +48,16 @@ DIMENSIONS = (4096, 1000)
 """Beside the recipe's own."""
 MAIN_TRUNK = "mobilenet_v2"
 """What the experiments are made with."""
+PAPERS_CONDITIONS = {
+    "covariance": False,
+    "random_last_layer": True,
+    "dimension": 1000,
+    "alpha": 0.5,
+    "beta": 0.3,
+    "gamma_prime": 0.4,
+}
+"""Flattened maps, a fully connected layer from random weights, and the paper's margins."""
+PAPERS_START = "papers-conditions-start"
 XYZ = "rgbd_dataset_freiburg1_xyz"
 
 # ---------------------------------------------------------------------------------------
@@ -71,7 +81,10 @@ class PlannedTraining:
 
     def folder(self, runs: Path) -> Path:
         """Return where its files are; another plan of the same name has another folder."""
-        facts = repr((sorted(asdict(self.plan).items()), self.with_xyz, self.is_start))
+        usual = asdict(TrainingPlan())
+        # A setting that did not exist yet when a training was done is at its default then.
+        unusual = {k: v for k, v in asdict(self.plan).items() if v != usual[k]}
+        facts = repr((sorted(unusual.items()), self.with_xyz, self.is_start))
         return runs / f"{self.name}-{hashlib.sha256(facts.encode()).hexdigest()[:8]}"
 
     def weights(self, runs: Path) -> Path:
@@ -82,6 +95,11 @@ class PlannedTraining:
 def compared_name(trunk: str, loss: str, seed: int) -> str:
     """Return what a training of the comparison of losses is called."""
     return f"{trunk}-{loss}-seed{seed}"
+
+
+def papers_name(loss: str, seed: int) -> str:
+    """Return what a training under the paper's own conditions is called."""
+    return f"papers-conditions-{loss}-seed{seed}"
 
 
 def planned_trainings() -> list[PlannedTraining]:
@@ -98,7 +116,8 @@ def planned_trainings() -> list[PlannedTraining]:
     ]
     main = plans[MAIN_TRUNK]
     starts = [
-        PlannedTraining(f"{trunk}-start", plan, is_start=True) for trunk, plan in plans.items()
+        *(PlannedTraining(f"{trunk}-start", plan, is_start=True) for trunk, plan in plans.items()),
+        PlannedTraining(PAPERS_START, replace(main, **PAPERS_CONDITIONS), is_start=True),
     ]
     experiments = [
         *(PlannedTraining(f"dimension-{d}", replace(main, dimension=d)) for d in DIMENSIONS),
@@ -106,8 +125,15 @@ def planned_trainings() -> list[PlannedTraining]:
         PlannedTraining("papers-margins", replace(main, alpha=0.5, beta=0.3, gamma_prime=0.4)),
         PlannedTraining("papers-pooling", replace(main, covariance=False)),
     ]
+    papers_all = [
+        PlannedTraining(
+            papers_name(loss, seed), replace(main, **PAPERS_CONDITIONS, loss=loss, seed=seed)
+        )
+        for seed in SEEDS
+        for loss in LOSSES
+    ]
     count = len(SEEDS) * len(LOSSES)
-    return [*compared[:count], *experiments, *starts, *compared[count:]]
+    return [*compared[:count], *experiments, *papers_all, *starts, *compared[count:]]
 
 
 class Trainer:

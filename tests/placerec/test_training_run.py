@@ -17,6 +17,7 @@ from placerec.cli import main
 from placerec.datasets import LabelledImages, open_dataset
 from placerec.embedding import LearnedRecognizer
 from placerec.learner import Learner
+from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.training_config import Loss
 from placerec.training_log import TrainingLog, read_log
 from placerec.training_plan import TrainingPlan
@@ -136,6 +137,19 @@ def test_no_step_leaves_what_a_training_starts_from(tower, tmp_path, monkeypatch
     assert read_log(tmp_path / "run/log.csv") == []
     network = LearnedRecognizer(tmp_path / "run/weights.safetensors").network
     assert torch.equal(network.fully_connected.weight, looked_at[0].half().float())
+
+
+def test_the_last_layer_starts_at_random_where_asked_for(tower, tmp_path):
+    for name, more in (("usual", ()), ("random", ("--random-last-layer",))):
+        assert _train(tower, tmp_path / name, *more, steps=0) == 0
+    usual, random = (
+        LearnedRecognizer(tmp_path / name / "weights.safetensors").network.fully_connected.weight
+        for name in ("usual", "random")
+    )
+    trunk = TRUNKS["mobilenet_v2"]
+    untouched = PlaceNetwork(trunk, 8, block="stem", grid=(2, 2), size_px=(48, 36), seed=0)
+    assert torch.equal(random, untouched.fully_connected.weight.half().float())
+    assert not torch.allclose(usual, random, atol=0.1)
 
 
 def test_each_of_the_data_is_a_collection_and_may_be_many_recordings(tower, tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from benchmarks.place_recognition.trainings import (
     SEEDS,
     TRUNK_PLANS,
     compared_name,
+    papers_name,
     planned_trainings,
     share,
 )
@@ -28,6 +29,14 @@ def test_compared_trainings_differ_in_the_loss_alone(trunk: str, seed: int):
     ours, theirs = (PLANNED[compared_name(trunk, loss, seed)].plan for loss in LOSSES)
     assert replace(ours, loss="triplet") == theirs != ours
     assert (ours.trunk, ours.seed) == (trunk, seed)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_papers_conditions_are_the_same_for_both_losses(seed: int):
+    ours, theirs = (PLANNED[papers_name(loss, seed)].plan for loss in LOSSES)
+    assert replace(ours, loss="triplet") == theirs != ours
+    assert (ours.alpha, ours.beta, ours.gamma_prime) == (0.5, 0.3, 0.4)
+    assert ours.random_last_layer and not ours.covariance
 
 
 @pytest.mark.parametrize("trunk", TRUNKS)
