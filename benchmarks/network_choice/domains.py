@@ -13,6 +13,7 @@ from placerec.augmentation import Augmentation
 from placerec.datasets import PlaceDataset, open_dataset
 from placerec.datasets.tum import pose_distance, read_recording
 from placerec.evaluation import best_match_curve, compare, pair_curve
+from placerec.recognizer import RecognizerError
 
 Image = NDArray[np.uint8]
 
@@ -47,21 +48,25 @@ def open_domains(data: Path, validation: Path, views: Path | None = None) -> Dom
         RecognizerError: one of them is missing or broken.
     """
     clips = open_dataset(str(data / "ie_tower"), "validation")
-    paths = {
-        kind: [open_dataset(str(folder)) for folder in sorted(validation.glob(f"{kind}*"))]
-        for kind in ("room", "desk")
-    }
     domains = {
         "floors": [ImageSet(clips, clips)],
         "walk": [second_pass(clips)],
-        "rooms": [ImageSet(path, path) for path in paths["room"]],
-        "desks": [ImageSet(path, path) for path in paths["desk"]],
+        "rooms": _paths(validation, "room"),
+        "desks": _paths(validation, "desk"),
         "xyz": [_by_tight_truth(data / "rgbd_dataset_freiburg1_xyz")],
     }
     if views:
-        around = [open_dataset(str(folder)) for folder in sorted(views.glob("view*"))]
-        domains[SHOWN_ONLY] = [ImageSet(path, path) for path in around]
+        domains[SHOWN_ONLY] = _paths(views, "view")
     return domains
+
+
+def _paths(folder: Path, kind: str) -> list[ImageSet]:
+    paths = [open_dataset(str(path)) for path in sorted(folder.glob(f"{kind}*"))]
+    if not paths:
+        raise RecognizerError(
+            f"there is no path in a {kind} (benchmarks.training_scenes): {folder}"
+        )
+    return [ImageSet(path, path) for path in paths]
 
 
 def second_pass(clips: PlaceDataset) -> ImageSet:

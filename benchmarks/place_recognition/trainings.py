@@ -58,6 +58,8 @@ PAPERS_CONDITIONS = {
 }
 """Flattened maps, a fully connected layer from random weights, and the paper's margins."""
 PAPERS_START = "papers-conditions-start"
+LATER_SETTINGS = {"random_last_layer": False}
+"""What trainings had that were done before there was such a setting: their folders stay theirs."""
 XYZ = "rgbd_dataset_freiburg1_xyz"
 
 # ---------------------------------------------------------------------------------------
@@ -81,10 +83,11 @@ class PlannedTraining:
 
     def folder(self, runs: Path) -> Path:
         """Return where its files are; another plan of the same name has another folder."""
-        usual = asdict(TrainingPlan())
-        # A setting that did not exist yet when a training was done is at its default then.
-        unusual = {k: v for k, v in asdict(self.plan).items() if v != usual[k]}
-        facts = repr((sorted(unusual.items()), self.with_xyz, self.is_start))
+        settings = asdict(self.plan)
+        for name, default in LATER_SETTINGS.items():
+            if settings[name] == default:
+                del settings[name]
+        facts = repr((sorted(settings.items()), self.with_xyz, self.is_start))
         return runs / f"{self.name}-{hashlib.sha256(facts.encode()).hexdigest()[:8]}"
 
     def weights(self, runs: Path) -> Path:

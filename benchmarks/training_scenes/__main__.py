@@ -13,14 +13,17 @@ Scenes that are there are kept.
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from tqdm import tqdm
 
-from benchmarks.training_scenes.folder import write_folder
+from benchmarks.training_scenes.folder import Image, write_folder
 from benchmarks.training_scenes.recorded import RecordedPlace
 from benchmarks.training_scenes.rendered import views
 from placerec.datasets import open_dataset
+from placerec.recognizer import RecognizerError
+from slam.types import SlamError
 
 PATHS_OF_A_RECORDING = 4
 
@@ -28,25 +31,38 @@ PATHS_OF_A_RECORDING = 4
 def main() -> int:
     """Make what is not there yet."""
     options = _arguments()
-    images = open_dataset(options.photographs, "train")
-    photographs = [images[i] for i in range(0, len(images), 3)]
-    options.out.mkdir(parents=True, exist_ok=True)
-    if options.recording:
-        names = [f"view{n:03d}" for n in range(PATHS_OF_A_RECORDING if options.paths else 1)]
-        todo = [(n, options.out / name) for n, name in enumerate(names)]
-        todo = [(n, folder) for n, folder in todo if not folder.exists()]
-        place = RecordedPlace(options.recording) if todo else None
-        for n, folder in tqdm(todo, desc="looking", unit="scene"):
-            make = place.path if options.paths else place.views_of_places
-            write_folder(folder, make(photographs, options.seed + n))
-        return 0
+    try:
+        images = open_dataset(options.photographs, "train")
+        photographs = [images[i] for i in range(0, len(images), 3)]
+        options.out.mkdir(parents=True, exist_ok=True)
+        if options.recording:
+            _look_anew(options, photographs)
+        else:
+            _render(options, photographs)
+    except (RecognizerError, SlamError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _look_anew(options: argparse.Namespace, photographs: Sequence[Image]) -> None:
+    names = [f"view{n:03d}" for n in range(PATHS_OF_A_RECORDING if options.paths else 1)]
+    if all((options.out / name).exists() for name in names):
+        return
+    place = RecordedPlace(options.recording)
+    make = place.path if options.paths else place.views_of_places
+    for n, name in enumerate(tqdm(names, desc="looking", unit="scene")):
+        if not (options.out / name).exists():
+            write_folder(options.out / name, make(photographs, options.seed + n))
+
+
+def _render(options: argparse.Namespace, photographs: Sequence[Image]) -> None:
     for kind, count in (("room", options.rooms), ("desk", options.desks)):
         for n in tqdm(range(count), desc=f"{kind}s", unit="scene"):
             folder = options.out / f"{kind}{n:03d}"
             if not folder.exists():
-                seen = views(kind, options.seed + n, photographs, options.paths)
-                write_folder(folder, seen)
-    return 0
+                seed = options.seed + n
+                write_folder(folder, views(kind, seed, photographs, options.paths))
 
 
 def _arguments() -> argparse.Namespace:

@@ -3,7 +3,7 @@
 
 The depth images of a recording in TUM RGB-D's format are fused by their true poses into a coloured
 mesh, which is then looked at anew. What no image of the recording saw shows a photograph instead,
-as if the place stood in another building.
+repeated and mirrored all around, so that nothing of the same colour tells views with gaps.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,6 +26,8 @@ from slam.types import FloatArray
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 224, 168, 181.0
 STRIDE = 2
 """Of the frames with truth every so many are fused."""
+LONGEST_WAIT_S = 0.02
+"""Between a frame and its true pose's; others are not fused."""
 VOXEL_M, TRUNCATION_M, FARTHEST_M = 0.006, 0.03, 4.0
 AHEAD_M = 1.0
 """How far before the mean camera the middle of what is looked at lies."""
@@ -100,7 +102,7 @@ class RecordedPlace:
                 continue
             places.append(T)
             for view in [T, *(nudged(T, RADIUS, rng) for _ in range(VIEWS - 1))]:
-                photograph = photographs[rng.integers(len(photographs))]
+                photograph = photographs[int(rng.integers(len(photographs)))]
                 image, share = self.look(view, photograph)
                 if share >= LEAST_SEEN:
                     yield 100.0 + number * SECONDS_APART, as_cheap_cameras_see(image, rng), view
@@ -112,7 +114,7 @@ class RecordedPlace:
         """Yield what a camera sees that is carried around, coming back now and then."""
         rng = np.random.default_rng([seed, 0x9A7])
         times_s = path_times_s()
-        photograph = photographs[rng.integers(len(photographs))]
+        photograph = photographs[int(rng.integers(len(photographs)))]
         offsets = np.stack([swing(times_s, rng, reach) for reach in 0.85 * REACH], axis=1)
         for time_s, where in zip(times_s, offsets, strict=True):
             T = self.aim(where)

@@ -75,16 +75,14 @@ def find_pretrained(name: str) -> Path | None:
     It is looked for in the folder that $LOOPCLOSE_WEIGHTS names, if it does, then in that of
     `download_pretrained`, and in the folders in these.
     """
-    for folder in weights_folders():
-        # Where SqueezeNet or MobileNetV2 lie beside torchvision's, only the archive is of use here.
-        archives_first = sorted(
-            (*folder.glob("*"), *folder.glob("*/*")), key=lambda path: (path.suffix != ".npz", path)
-        )
-        for path in archives_first:
-            is_its = _is_of(name.lower(), path.name.lower())
-            if is_its and path.suffix in SUFFIXES and path.is_file():
-                return path
-    return None
+    found = [
+        path
+        for folder in weights_folders()
+        for path in sorted((*folder.glob("*"), *folder.glob("*/*")))
+        if _is_of(name.lower(), path.name.lower()) and path.suffix in SUFFIXES and path.is_file()
+    ]
+    # Of SqueezeNet and MobileNetV2 torchvision's files are of no use here, and archives are.
+    return min(found, key=lambda path: path.suffix != ".npz", default=None)
 
 
 def _is_of(name: str, file: str) -> bool:

@@ -41,6 +41,12 @@ def first_frame(folder: Path) -> tuple[Frame, np.ndarray]:
     return sequence.frame(0), sequence.ground_truth.T_world_cam[0]
 
 
+def seen_later(folder: Path, size: tuple[int, int]) -> np.ndarray:
+    """Return the image of a quarter of a second later."""
+    rgb = open_sequence(folder, InputConfig()).frame(4).rgb
+    return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(float)
+
+
 def test_from_where_the_camera_was_the_place_looks_as_recorded(place, folder):
     frame, T_world_cam = first_frame(folder)
     image, share = place.look(T_world_cam, RED)
@@ -49,8 +55,10 @@ def test_from_where_the_camera_was_the_place_looks_as_recorded(place, folder):
     assert share > 0.8
     is_mesh = (image != RED[0, 0]).any(axis=2)
     off = np.abs(image - taken)[is_mesh].mean()
-    mirrored_off = np.abs(image - taken[:, ::-1])[is_mesh].mean()
-    assert off < 0.5 * mirrored_off
+    others = {"mirrored": taken[:, ::-1], "red for blue": taken[..., ::-1]}
+    others["late"] = seen_later(folder, size)
+    for name, other in others.items():
+        assert off < 0.7 * np.abs(image - other)[is_mesh].mean(), name
 
 
 def test_what_was_never_seen_shows_the_photograph(place, folder):
@@ -60,6 +68,27 @@ def test_what_was_never_seen_shows_the_photograph(place, folder):
     image, share = place.look(behind, RED)
     assert share < 0.5
     assert (image == RED[0, 0]).all(axis=2).mean() == pytest.approx(1.0 - share, abs=0.01)
+
+
+def test_the_camera_aims_at_what_lies_before_the_mean_camera(place, folder):
+    truth = open_sequence(folder, InputConfig()).ground_truth
+    assert truth is not None
+    mean = place.aim(np.zeros(7))
+    middle_m = mean[:3, 3] + recorded.AHEAD_M * mean[:3, 2]
+    np.testing.assert_allclose(mean[:3, 3], truth.T_world_cam[:, :3, 3].mean(axis=0), atol=0.05)
+    nearer = place.aim(np.array([0.0, 0.0, 0.0, -0.4, 0.1, 0.3, -0.2]))
+    np.testing.assert_allclose(nearer[:3, 3] + 0.6 * nearer[:3, 2], middle_m, atol=1e-9)
+
+
+def test_a_photograph_goes_on_without_a_seam():
+    column = np.arange(40, dtype=np.uint8)[None, :, None]
+    photograph = np.broadcast_to(column, (30, 40, 3))
+    azimuth = np.linspace(-np.pi, np.pi, 2000)
+    around = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(2000)], axis=1)
+    shown = recorded._wallpaper(photograph, around)[:, 0]
+    assert np.abs(np.diff(shown)).max() <= 1.0
+    assert abs(shown[0] - shown[-1]) <= 1.0
+    assert shown.min() == 0.0 and shown.max() >= 38.0
 
 
 def test_views_of_a_place_are_near_it_and_places_apart(place, monkeypatch):
