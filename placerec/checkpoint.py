@@ -1,16 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that a training needs to go on as if it had never been stopped."""
 
+import hashlib
 import io
+import json
+import warnings
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from placerec.networks import PlaceNetwork
 from placerec.output_file import write_atomically
+from placerec.place_images import PlaceImages
 from placerec.recognizer import RecognizerError
+from placerec.training_config import TrainingConfig
+
+MAY_CHANGE = frozenset(
+    {"max_steps", "max_seconds", "checkpoint_interval_s", "learning_rate", "trunk_learning_rate"}
+)
+"""Settings that a resumed training need not share with its beginning."""
+DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -41,6 +54,31 @@ class Checkpoint:
     elapsed_s: float
 
 
+def settings_of(
+    config: TrainingConfig, network: PlaceNetwork, images: PlaceImages
+) -> dict[str, str]:
+    """Return what a training must share with the checkpoint it goes on from, by name.
+
+    Args:
+        config: how it learns.
+        network: as it is before the first step.
+        images: what it learns from.
+    """
+    size, last = network.preprocessing, type(network.fully_connected)
+    labels = np.ascontiguousarray(images.places, np.int64).tobytes()
+    count = len(images.scenes)
+    collections = len(np.unique(images.collections))
+    described = config.model_dump(mode="json", exclude=set(MAY_CHANGE))
+    return {name: json.dumps(value) for name, value in described.items()} | {
+        "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
+        f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
+        f"covariance {network.covariance}, words {network.words}",
+        "last layer": "random at first" if last is nn.Linear else "whitened at first",
+        "images": f"{count} with labels {hashlib.sha256(labels).hexdigest()[:DIGITS]}"
+        + (f" in {collections} collections" if collections > 1 else ""),
+    }
+
+
 def write_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
     """Write a checkpoint, leaving the last one untouched until it is complete.
 
@@ -65,7 +103,9 @@ def read_checkpoint(path: Path, settings: dict[str, str]) -> Checkpoint:
     except OSError as error:
         raise RecognizerError(f"cannot read the checkpoint: {error.strerror}: {path}") from error
     try:
-        checkpoint = Checkpoint(**torch.load(content, map_location="cpu", weights_only=True))
+        with warnings.catch_warnings(action="ignore"):  # of torch, about files that are refused
+            loaded = torch.load(content, map_location="cpu", weights_only=True)
+        checkpoint = Checkpoint(**loaded)
     except Exception as error:  # torch raises many kinds for a damaged file
         raise RecognizerError(
             f"the checkpoint is damaged; remove it to start anew: {path}"

@@ -4,7 +4,7 @@
 The names and line numbers are those of the paper's Algorithm 1. Images are named by their index.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,8 @@ def build_image_sets(
         rules: margins and sizes; default: the paper's.
         anchors: (M,) int64, the images i that line 2 goes through; default: all n.
         alike: (n, n) bool, pairs that may show one place whatever their labels say, as places
-            next to each other do: an image alike to one of a place is never a negative of it.
+            next to each other do: an image alike to one of a place is never a negative of it, and
+            two negatives of a set are alike only where there are not enough others.
 
     Raises:
         RecognizerError: a feature is not finite, or there are too few places for a set.
@@ -91,16 +92,17 @@ def build_image_sets(
             others &= ~alike[own].any(axis=0)
             if len(np.unique(places[others])) < rules.negatives:
                 continue  # hemmed in by places alike: no set can be completed
-        confused = np.flatnonzero((distances < rules.gamma_prime) & others)
+        unlike = np.flatnonzero(others)
+        confused = unlike[distances[unlike] < rules.gamma_prime]
         for i in members:
-            negatives = _draw_places(confused, places, rules.negatives, rng)  # lines 7, 9-11
+            negatives = _draw_places(confused, places, rules.negatives, rng, alike)  # 7, 9-11
             positives = rng.permutation(spread[spread != anchors[i]])[: rules.positives]  # 6, 15-17
             if len(negatives) == 0 and len(positives) == 0:
                 continue  # neither line 12 nor line 18 holds: there is nothing to learn here
-            found[int(i)] = (
-                _fill_positives(positives, own, rules.positives, rng),
-                _fill_negatives(negatives, np.flatnonzero(others), places, rules.negatives, rng),
-            )
+            positives = _fill_positives(positives, own, rules.positives, rng)
+            missing = rules.negatives - len(negatives)
+            negatives = _fill_negatives(negatives, unlike, places, missing, rng, alike)
+            found[int(i)] = positives, negatives
     chosen = [found[i] for i in sorted(found)]
     return ImageSets(
         np.array([p for p, _ in chosen], np.int64).reshape(-1, rules.positives),
@@ -197,22 +199,44 @@ def _draw_of_each(
 
 
 def _draw_places(
-    candidates: Indices, places: Indices, count: int, rng: np.random.Generator
+    candidates: Indices,
+    places: Indices,
+    count: int,
+    rng: np.random.Generator,
+    alike: BoolMatrix | None,
+    beside: Sequence[int] = (),
 ) -> Indices:
-    """Return up to so many of the candidates, in random order, no two of one place."""
+    """Return up to so many candidates in random order, no two of one place.
+
+    First come those that are alike neither to each other nor to what they are to stand beside.
+    """
     shuffled = rng.permutation(candidates)
     _, first = np.unique(places[shuffled], return_index=True)
-    return shuffled[np.sort(first)[:count]]
+    ordered = shuffled[np.sort(first)]
+    if alike is None:
+        return ordered[:count]
+    apart: list[int] = []
+    rest: list[int] = []
+    for image in ordered.tolist():
+        if len(apart) == count:
+            break
+        (rest if alike[image, [*beside, *apart]].any() else apart).append(image)
+    return np.array((apart + rest)[:count], np.int64)
 
 
 def _fill_negatives(
-    negatives: Indices, others: Indices, places: Indices, count: int, rng: np.random.Generator
+    negatives: Indices,
+    others: Indices,
+    places: Indices,
+    missing: int,
+    rng: np.random.Generator,
+    alike: BoolMatrix | None,
 ) -> Indices:
-    """Add images of yet other places until there are as many as asked for (lines 12-14)."""
-    if len(negatives) == count:
+    """Add images of yet other places, as many as are missing (lines 12-14)."""
+    if not missing:
         return negatives
     unused = others[~np.isin(places[others], places[negatives])]
-    added = _draw_places(unused, places, count - len(negatives), rng)
+    added = _draw_places(unused, places, missing, rng, alike, negatives.tolist())
     return np.concatenate([negatives, added])
 
 

@@ -110,6 +110,11 @@ class Learner:
         self.optimizer.step()
         return self._rates[0] * share
 
+    def is_sound(self) -> bool:
+        """Return whether all weights are numbers that a file of weights can hold."""
+        most = torch.finfo(torch.float16).max
+        return all(bool((p.detach().abs() <= most).all()) for p in self._parameters())
+
     def _losses(self, sets: ImageSets, own: NDArray[np.int64], step: int) -> Tensor:
         """Return the losses of some of a step's sets."""
         config = self._config

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop of the paper's Figure 4: build image sets, learn from them, until there are none."""
 
-import hashlib
-import json
 import time
 from collections.abc import Generator
 from enum import StrEnum
@@ -12,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from placerec.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from placerec.checkpoint import Checkpoint, read_checkpoint, settings_of, write_checkpoint
 from placerec.early_layers import Progress
 from placerec.image_sets import ImageSets, build_image_sets, sample_images, sample_scenes
 from placerec.learner import Learner
@@ -24,10 +22,8 @@ from placerec.training_log import StepRecord, TrainingLog
 from placerec.workers import Workers
 
 CHECKPOINT_NAME, LOG_NAME = "checkpoint.pt", "log.csv"
-MAY_CHANGE = frozenset(
-    {"max_steps", "max_seconds", "checkpoint_interval_s", "learning_rate", "trunk_learning_rate"}
-)
-"""Settings that a resumed training need not share with its beginning."""
+EMPTY_ROUNDS = 5
+"""So many rounds without a set in a row end a training: each draws other images and anchors."""
 
 
 class End(StrEnum):
@@ -82,12 +78,13 @@ class Training:
         self._config, self._folder = config, folder
         self._workers = workers or Workers()
         self._progress = progress
+        self._settings = settings_of(config, network, images)
         self._learner = Learner(network, images, config, self._workers)
         nothing = np.empty((0, 0), np.int64)
         self._sets, self._used, self._round, self._step = ImageSets(nothing, nothing), 0, 0, 0
         self._started_s, self._elapsed_s, self._saved_s = 0.0, 0.0, -np.inf
         if self.checkpoint_path.exists():
-            self._resume(read_checkpoint(self.checkpoint_path, self._settings()))
+            self._resume(read_checkpoint(self.checkpoint_path, self._settings))
         self._log = TrainingLog(folder / LOG_NAME, self._step) if self._workers.is_first else None
 
     @property
@@ -127,9 +124,10 @@ class Training:
         return self.end is not None
 
     def _find_sets(self) -> bool:
-        """Start rounds until one has sets, at most so many as could visit every scene."""
+        """Start rounds until one has sets, at most so many as could visit every scene so often."""
         scenes = len(np.unique(self._images.scenes))
-        for _ in range(-(-scenes // (self._config.scenes_per_round or scenes))):
+        visits = -(-scenes // (self._config.scenes_per_round or scenes))
+        for _ in range(EMPTY_ROUNDS * visits):
             self._build_sets()
             if len(self._sets):
                 return True
@@ -180,6 +178,12 @@ class Training:
         if self._elapsed_s - self._saved_s >= self._config.checkpoint_interval_s:
             self._save()
         learning_rate = self._learner.update(self._step)
+        if not self._learner.is_sound():
+            raise RecognizerError(
+                f"the training broke down at step {self._step + 1}: weights have grown beyond what "
+                f"a file holds; go on with a lower learning_rate from the last good checkpoint: "
+                f"{self.checkpoint_path}"
+            )
         self._step, self._used = self._step + 1, self._used + len(batch)
         self._tick()
         images = batch.positives.size + batch.negatives.size
@@ -211,25 +215,12 @@ class Training:
     def _tick(self) -> None:
         self._elapsed_s = time.monotonic() - self._started_s
 
-    def _settings(self) -> dict[str, str]:
-        network, size = self.network, self.network.preprocessing
-        labels = hashlib.sha256(np.ascontiguousarray(self._places, np.int64).tobytes())
-        collections = len(np.unique(self._images.collections))
-        config = self._config.model_dump(mode="json", exclude=set(MAY_CHANGE))
-        return {name: json.dumps(value) for name, value in config.items()} | {
-            "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
-            f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
-            f"covariance {network.covariance}",
-            "images": f"{len(self._places)} with labels {labels.hexdigest()[:12]}"
-            + (f" in {collections} collections" if collections > 1 else ""),
-        }
-
     def _save(self) -> None:
         self._saved_s = self._elapsed_s
         if not self._workers.is_first:
             return
         checkpoint = Checkpoint(
-            settings=self._settings(),
+            settings=self._settings,
             network=self.network.state_dict(),
             optimizer=self._learner.optimizer.state_dict(),
             positives=torch.from_numpy(self._sets.positives),

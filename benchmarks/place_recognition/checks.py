@@ -49,7 +49,7 @@ def checks(results: Results, costs: Mapping[str, Cost]) -> list[Check]:
     fewer = results.precisions(["dimension-1000"], DESK)
     all_values = results.precisions(["dimension-4096"], DESK)
     losses = relative(fewer, all_values) if fewer and all_values else []
-    what = f"4096 values to 1000, average precision, {DESK}"
+    what = f"4096 values to 1000, average precision, {DESK}, one seed"
     listed.append(Check(what, FEWER_VALUES, losses, is_share=True))
     for what, figure, bar, digits in COSTS:
         measured, timed = (

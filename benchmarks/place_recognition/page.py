@@ -185,6 +185,11 @@ def _dimensions_table(results: Results) -> str:
         for name, dimension in sorted(names.items(), key=lambda item: -item[1])
         if name in results.found
     ]
+    most, fewer = (f"dimension-{n}" for n in DIMENSIONS)
+    if most in results.found and fewer in results.found:
+        of_each = [[results.precisions([n], on.name) for n in (fewer, most)] for on in results.sets]
+        losses = [percent(relative(*both)[0]) for both in of_each]
+        rows.append((f"{DIMENSIONS[1]} over {DIMENSIONS[0]}", *losses))
     return markdown(("values", *(each.name for each in results.sets)), rows)
 
 

@@ -33,7 +33,11 @@ The recognizer's constructor takes the path of what `write_fitted` makes of the 
 
 def fit(
     recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
-    data: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATA ...")],
+    data: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
+    ],
     /,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     seed: int = 0,

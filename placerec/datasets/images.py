@@ -33,6 +33,8 @@ def find_fault(path: Path) -> BrokenImage | None:
     """Return what is wrong with an image file, None where it can be read."""
     # Looks at all of the file, but is done in half the time of a full decoding.
     image = _decode(path, cv2.IMREAD_REDUCED_GRAYSCALE_8)
+    if isinstance(image, BrokenImage):  # or of less than 8 pixels, of which nothing would be left
+        image = _decode(path, cv2.IMREAD_COLOR)
     return image if isinstance(image, BrokenImage) else None
 
 

@@ -80,7 +80,7 @@ class PlaceNetwork(nn.Module):
                 nn.AdaptiveAvgPool2d(grid) if grid else nn.Identity(),
                 Vlad(words, maps.shape[1]) if words else pooled,
             )
-            self.fully_connected: nn.Linear | WhitenedLinear = nn.Linear(
+            self.fully_connected: nn.Linear | WhitenedLinear = _linear(
                 self.flatten(maps).shape[1], dimension
             )
 
@@ -128,3 +128,12 @@ class PlaceNetwork(nn.Module):
             seen = tuple(maps.shape) if isinstance(maps, Tensor) else type(maps).__name__
             raise RecognizerError(f"{where} gives {seen}; it must give (N, C, h, w) maps")
         return maps
+
+
+def _linear(values: int, dimension: int) -> nn.Linear:
+    try:
+        return nn.Linear(values, dimension)
+    except RuntimeError as error:
+        raise RecognizerError(
+            f"dimension = {dimension}: there is no memory for a layer of so many values"
+        ) from error

@@ -7,6 +7,7 @@ import io
 import os
 import re
 import urllib.request
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import cast
@@ -147,7 +148,8 @@ def read_weights(path: Path) -> Mapping[str, Tensor]:
             return {name: torch.from_numpy(array) for name, array in arrays.items()}
         if path.suffix == OURS:
             return safetensors.torch.load(content.getvalue())
-        with torch.serialization.safe_globals(NUMBERS):
+        # What torch has to say about the pickle of a file that it refuses, we say below.
+        with torch.serialization.safe_globals(NUMBERS), warnings.catch_warnings(action="ignore"):
             loaded = torch.load(content, map_location="cpu", weights_only=True)
     except Exception as error:  # torch and numpy raise many kinds for a damaged file
         raise RecognizerError(

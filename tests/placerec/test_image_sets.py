@@ -247,3 +247,21 @@ def test_collections_have_the_same_chance_however_large_they_are(count, share_of
     visits = np.bincount(np.concatenate(drawn), minlength=20) / (400.0 * count)
     assert visits[18:].sum() == pytest.approx(share_of_small, abs=0.07)
     assert visits[18:].min() > 0.15 and visits[:18].min() > 0
+
+
+def test_negatives_that_are_alike_stand_in_one_set_only_where_there_are_no_others():
+    rng = _rng()
+    features = rng.normal(size=(40, 8)).astype(np.float32)
+    features /= np.linalg.norm(features, axis=1, keepdims=True)
+    places = np.repeat(np.arange(20), 2)
+    rooms = places // 3
+    alike = (rooms[:, None] == rooms) & (places[:, None] != places)
+    for rules in (SetRules(), SetRules(gamma_prime=4.0)):  # filled up at random, and all confused
+        sets = build_image_sets(features, places, rng, rules, alike=alike)
+        assert len(sets) > 30
+        assert all(len(set(rooms[row])) == 4 for row in sets.negatives)
+    few = build_image_sets(features[:12], places[:12], rng, alike=alike[:12, :12])
+    assert len(few) == 0  # three others of the other room alone: four cannot be had
+    some = build_image_sets(features[:14], places[:14], rng, alike=alike[:14, :14])
+    assert len(some) > 0
+    assert all(len(set(places[row])) == 4 for row in some.negatives)

@@ -12,8 +12,11 @@ import pytest
 import torch
 from torch import nn
 
+import placerec.training as training_module
 from placerec.augmentation import Augmentation
+from placerec.image_sets import ImageSets, build_image_sets
 from placerec.networks import PlaceNetwork, Preprocessing, Trunk
+from placerec.networks.projection import whiten
 from placerec.recognizer import RecognizerError
 from placerec.training import End, Training
 from placerec.training_config import Loss, TrainingConfig
@@ -311,6 +314,31 @@ def test_nan_loss_stops_and_leaves_the_last_good_checkpoint(tmp_path):
     assert training.end is End.STEPS
 
 
+def test_weights_too_large_for_a_file_stop_and_leave_the_last_good_checkpoint(tmp_path):
+    _train(tmp_path / "run", max_steps=1)
+    with pytest.raises(
+        RecognizerError, match=r"weights have grown .* lower learning_rate"
+    ) as error:
+        _train(tmp_path / "run", max_steps=30, learning_rate=1e8, checkpoint_interval_s=0.0)
+    assert "\n" not in str(error.value)
+    _training, records = _train(tmp_path / "run", max_steps=3)
+    assert [record.step for record in records] == [2, 3]
+
+
+def test_one_round_without_sets_is_not_the_end(tmp_path, monkeypatch):
+    rounds = []
+
+    def few(*arguments):
+        rounds.append(arguments)
+        found = build_image_sets(*arguments)
+        return found if len(rounds) % 3 == 0 else ImageSets(*np.empty((2, 0, 4), np.int64))
+
+    monkeypatch.setattr(training_module, "build_image_sets", few)
+    training, records = _train(tmp_path / "run", max_steps=2, batch_sets=999)
+    assert training.end is End.STEPS
+    assert records[0].round == 3
+
+
 def test_place_with_one_image_is_learned_from(tmp_path):
     images = Boards(places=8, views=1)
     training, _ = _train(tmp_path / "run", images, max_steps=3)
@@ -337,6 +365,10 @@ def test_checkpoint_of_another_training_is_refused(tmp_path):
         _train(tmp_path / "run", Boards(places=13))
     with pytest.raises(RecognizerError, match="its network is"):
         _train(tmp_path / "run", network=PlaceNetwork(TINY, 17))
+    whitened = PlaceNetwork(TINY, 16)
+    whiten(whitened, torch.randn(30, whitened.fully_connected.in_features))
+    with pytest.raises(RecognizerError, match="its last layer is random at first, not whitened"):
+        _train(tmp_path / "run", network=whitened)
     _, records = _train(tmp_path / "run", max_steps=3, learning_rate=1e-4)
     assert [record.step for record in records] == [3]
 
