@@ -9,8 +9,10 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from placerec.augmentation import Augmentation
+from placerec.certificate import Certificate
 from placerec.datasets import LabelledImages
 from placerec.early_layers import IMAGES_PER_PASS, Progress
+from placerec.embedding import LearnedRecognizer
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
 from placerec.networks.projection import merge, whiten
@@ -63,7 +65,8 @@ def write_results(training: Training, plan: TrainingPlan, folder: Path) -> Path:
     The fully connected layer is one matrix afterwards; the training cannot go on with it.
 
     Until it is calibrated, the threshold is the similarity from which the training itself takes
-    images of two places for confused: gamma' as a cosine (eq. 9).
+    images of two places for confused: gamma' as a cosine (eq. 9). Weights that come out as those
+    that were calibrated here keep what that found.
 
     Raises:
         RecognizerError: a file cannot be written.
@@ -71,8 +74,17 @@ def write_results(training: Training, plan: TrainingPlan, folder: Path) -> Path:
     path = folder / WEIGHTS_NAME
     merge(training.network)
     save_weights(training.network, path, 1.0 - _config(plan).gamma_prime / 2.0)
+    if certificate := _certificate_of(path):
+        save_weights(training.network, path, certificate.min_similarity)
     write_plot(read_log(folder / LOG_NAME), folder / PLOT_NAME)
     return path
+
+
+def _certificate_of(weights: Path) -> Certificate | None:
+    try:
+        return LearnedRecognizer(weights).certificate
+    except RecognizerError:  # it is of earlier weights: these have to be calibrated anew
+        return None
 
 
 def _config(plan: TrainingPlan) -> TrainingConfig:

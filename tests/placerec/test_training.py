@@ -201,6 +201,7 @@ TORCHRUN = """
     for record in Training(network, Boards(), config, Path({folder!r}), workers=workers):
         pass
     torch.save(network.state_dict(), Path({folder!r}) / f"rank{{workers.rank}}.pt")
+    torch.distributed.barrier()  # who leaves while the other still listens is taken for broken
     torch.distributed.destroy_process_group()
 """
 

@@ -106,6 +106,10 @@ def test_calibrating_gives_the_weights_their_threshold_and_its_evidence(tower, t
     assert f"min_similarity written to {weights}\n" in capsys.readouterr().out
     assert main([*command, "--out", str(apart)]) == 0
     assert read_certificate(apart) == certificate  # it is not of the threshold in the file
+    assert _train(tower, tmp_path / "run", steps=1) == 0  # nothing is left to do
+    assert LearnedRecognizer(weights).min_similarity == certificate.min_similarity
+    assert _train(tower, tmp_path / "run", steps=2) == 0
+    assert LearnedRecognizer(weights).min_similarity == 0.8  # the evidence was of other weights
 
 
 def test_words_are_found_in_the_images_and_then_learn(tower, tmp_path, monkeypatch):
