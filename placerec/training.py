@@ -2,7 +2,7 @@
 """The loop of the paper's Figure 4: build image sets, learn from them, until there are none."""
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from enum import StrEnum
 from pathlib import Path
 
@@ -56,6 +56,7 @@ class Training:
         *,
         workers: Workers | None = None,
         progress: Progress | None = None,
+        origin: Mapping[str, str] | None = None,
     ) -> None:
         """Prepare a training, or go on with the one in the folder.
 
@@ -67,6 +68,7 @@ class Training:
             workers: default: those that torchrun started, on GPUs where there are any.
             progress: called while images are looked at to build sets, which may take long;
                 KeyboardInterrupt raised in it stops the training with a checkpoint.
+            origin: what else must be the same, by name, for the folder's training to go on.
 
         Raises:
             RecognizerError: the images have no labels, the folder's checkpoint is damaged or of
@@ -78,7 +80,7 @@ class Training:
         self._config, self._folder = config, folder
         self._workers = workers or Workers()
         self._progress = progress
-        self._settings = settings_of(config, network, images)
+        self._settings = settings_of(config, network, images) | dict(origin or {})
         self._learner = Learner(network, images, config, self._workers)
         nothing = np.empty((0, 0), np.int64)
         self._sets, self._used, self._round, self._step = ImageSets(nothing, nothing), 0, 0, 0

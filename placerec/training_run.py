@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training as planned: from a network's starting weights to the files that it leaves."""
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from placerec.augmentation import Augmentation
 from placerec.certificate import Certificate
+from placerec.checkpoint import DIGITS
 from placerec.datasets import LabelledImages
 from placerec.early_layers import IMAGES_PER_PASS, Progress
 from placerec.embedding import LearnedRecognizer
@@ -56,7 +58,10 @@ def start_training(
         load_pretrained(network, plan.weights)
     _make(folder)
     _start_last_layers(network, plan, images, workers.device, progress)
-    return Training(network, images, config, folder, workers=workers, progress=progress)
+    origin = {"start": _hash_file(plan.weights), "names of images": _hash("\n".join(images.names))}
+    return Training(
+        network, images, config, folder, workers=workers, progress=progress, origin=origin
+    )
 
 
 def write_results(training: Training, plan: TrainingPlan, folder: Path) -> Path:
@@ -131,6 +136,15 @@ def _network(plan: TrainingPlan) -> PlaceNetwork:
         size_px=plan.size,
         seed=plan.seed,
     )
+
+
+def _hash_file(path: Path | None) -> str:
+    return _hash(path.read_bytes()) if path else "random weights"
+
+
+def _hash(content: bytes | str) -> str:
+    data = content.encode() if isinstance(content, str) else content
+    return hashlib.sha256(data).hexdigest()[:DIGITS]
 
 
 def _make(folder: Path) -> None:

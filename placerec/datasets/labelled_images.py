@@ -58,6 +58,11 @@ class LabelledImages:
     def __len__(self) -> int:
         return len(self.places)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the N images' files, without their folders."""
+        return tuple(path.name for dataset in self._datasets for path in dataset.paths)
+
     def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
         """Return an image, (H, W, 3) uint8 RGB, at most LONGEST_PX wide or high; read-only.
 

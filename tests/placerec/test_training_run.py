@@ -350,6 +350,18 @@ def test_folder_of_another_training_or_table_is_refused(tower, tmp_path, capsys)
         assert _train(tower, tmp_path / "run", *more) == 2
         error = capsys.readouterr().err
         assert error.startswith("placerec: the checkpoint is of another training: its network is")
+    weights = tmp_path / "weights.safetensors"
+    shutil.copy(tmp_path / "run/weights.safetensors", weights)
+    assert _train(tower, tmp_path / "run", "--weights", str(weights)) == 2
+    assert "its start is random weights, not " in capsys.readouterr().err
+    renamed = tmp_path / "renamed"
+    shutil.copytree(tower, renamed)
+    for image in renamed.glob("images/*/clip0_*"):
+        image.rename(image.with_name(image.name.replace("clip0", "clip9")))
+    table = renamed / "dataset.csv"
+    table.write_text(table.read_text().replace("clip0", "clip9"))
+    assert _train(renamed, tmp_path / "run") == 2
+    assert "its names of images is " in capsys.readouterr().err
     (tmp_path / "sheets").mkdir()
     (tmp_path / "sheets/log.csv").write_text("name,price\nbolt,3\n")
     assert _train(tower, tmp_path / "sheets") == 2
