@@ -142,10 +142,11 @@ def _fuse(folder: Path, recording: Recording, T_world_cam: FloatArray) -> o3d.ge
         sdf_trunc=TRUNCATION_M,
         color_type=o3d.pipelines.integration.TSDFVolumeColorType.RGB8,
     )
-    for i, T in zip(
-        nearest(sequence.timestamps_s, recording.timestamps_s), T_world_cam, strict=True
-    ):
+    frames = nearest(sequence.timestamps_s, recording.timestamps_s)
+    for i, time_s, T in zip(frames, recording.timestamps_s, T_world_cam, strict=True):
         frame = sequence.frame(int(i))
+        if abs(frame.timestamp_s - time_s) > LONGEST_WAIT_S:
+            continue
         colour = cv2.remap(frame.rgb, *straight, cv2.INTER_LINEAR)
         depth_m = cv2.remap(frame.depth_m, *straight, cv2.INTER_NEAREST)
         image = o3d.geometry.RGBDImage.create_from_color_and_depth(

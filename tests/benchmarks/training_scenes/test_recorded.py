@@ -91,6 +91,13 @@ def test_a_photograph_goes_on_without_a_seam():
     assert shown.min() == 0.0 and shown.max() >= 38.0
 
 
+def test_images_too_far_in_time_from_a_true_pose_are_not_fused(folder, monkeypatch):
+    monkeypatch.setattr(recorded, "LONGEST_WAIT_S", -1.0)
+    recording = recorded.read_recording(folder, 1)
+    mesh = recorded._fuse(folder, recording, recorded._poses(recording))
+    assert len(mesh.vertices) == 0
+
+
 def test_views_of_a_place_are_near_it_and_places_apart(place, monkeypatch):
     monkeypatch.setattr(recorded, "LEAST_SEEN", 0.3)
     monkeypatch.setattr(recorded, "VIEWS", 3)

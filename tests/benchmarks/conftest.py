@@ -3,4 +3,4 @@ import sys
 from pathlib import Path
 
 # At the end: what is installed is tested, and only the benchmarks come from the checkout.
-sys.path.append(str(Path(__file__).parents[3]))
+sys.path.append(str(Path(__file__).parents[2]))
