@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from placerec.image_sets import build_image_sets, sample_images
+from placerec.training.image_sets import build_image_sets, sample_images
 
 DIMENSION = 256
 CASES = [(100, 10), (100, 20), (100, 40), (100, 80), (200, 10), (400, 10), (800, 10)]

@@ -33,15 +33,15 @@ from tqdm import tqdm
 
 from placerec.index import PlaceIndex
 from placerec.recognizer import load
-from slam.arguments import DEFAULT_RECOGNIZER
+from slam.cli import DEFAULT_RECOGNIZER
 from slam.config import EvaluationConfig
-from slam.datasets.kinect_noise import add_colour_noise, add_kinect_noise
-from slam.datasets.rooms.room import build_room, render
-from slam.drift import judge_loops, trajectory_error
-from slam.odometry import TrackedFrame
+from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
+from slam.demo.room import build_room, render
+from slam.evaluation.drift import judge_loops, trajectory_error
+from slam.result import SlamResult
 from slam.system import Slam
-from slam.types import Camera, FloatArray, Frame, SlamResult, Trajectory
-from slam.verdict import final_rejection
+from slam.tracking.odometry import TrackedFrame
+from slam.types import Camera, FloatArray, Frame, Trajectory, final_rejection
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 FRAMES_PER_S, LAP_S = 15.0, 12.0
@@ -160,7 +160,7 @@ class Run:
 def measure(frames: int, recognizer: str) -> Run:
     """Run so many frames and finish."""
     film, TimedIndex.seconds = Film(), []
-    with patch("slam.loop_closure.PlaceIndex", TimedIndex):
+    with patch("slam.loops.loop_closure.PlaceIndex", TimedIndex):
         slam = Slam(CAMERA, load(recognizer))
     frame_s, cpu_s, memory_mb = np.empty((3, frames))
     keyframes = np.zeros(frames, dtype=np.int64)

@@ -5,7 +5,8 @@
 
 Runs the pipeline, compares every link and loop with ground truth, and prints the error against the
 predicted standard deviation. A calibrated information matrix has a median squared normalised error
-of 5.35 (chi-square, 6 degrees of freedom). The floors in slam/relative_pose.py come from fr1_xyz.
+of 5.35 (chi-square, 6 degrees of freedom). The floors in relative_pose.py come
+from fr1_xyz.
 """
 
 import sys
@@ -13,12 +14,12 @@ import sys
 import numpy as np
 
 from placerec.recognizer import load
-from slam import se3
-from slam.arguments import DEFAULT_RECOGNIZER
+from slam.cli import DEFAULT_RECOGNIZER
 from slam.config import Config
 from slam.datasets import open_sequence, resolve
+from slam.evaluation.trajectory import nearest
+from slam.geometry import se3
 from slam.system import Slam
-from slam.trajectory import nearest
 from slam.types import Link, RelativePose
 
 

@@ -23,10 +23,9 @@ import gtsam
 import numpy as np
 
 from slam.config import GraphConfig
-from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize, pose_at
 from slam.pose_graph.g2o import read_g2o
-from slam.pose_graph.robust import solve_robustly
+from slam.pose_graph.robust import contested_motions, doubts, solve_robustly
 from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, SlamError
 
 # Half chi-square of the best optima known.

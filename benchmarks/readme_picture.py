@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slam import se3
 from slam.config import load_config
-from slam.drift import TrajectoryError, trajectory_error
-from slam.ledger import read_ledger
-from slam.trajectory import associate, read_tum
+from slam.evaluation.drift import TrajectoryError, trajectory_error
+from slam.evaluation.trajectory import associate, read_tum
+from slam.geometry import se3
+from slam.output.ledger import read_ledger
 from slam.types import FloatArray, SlamError
 
 ESTIMATES = {"odometry": "#c4600a", "corrected": "#0a64b4"}

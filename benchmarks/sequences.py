@@ -25,15 +25,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from placerec.user_cache import cache_folder
-from slam.arguments import DEFAULT_RECOGNIZER
-from slam.cli import DEMO
+from placerec.files import cache_folder
+from slam.cli import DEFAULT_RECOGNIZER, DEMO
 
 NAMES = (DEMO, "fr1_desk", "fr1_xyz")
 SAME_EVERY_RUN = ("trajectory.txt", "loops.jsonl")
 LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "gtsam", "open3d", "torch")
 RENDER = (
-    "import pathlib, sys; from slam.datasets.synthetic import render_sequence;"
+    "import pathlib, sys; from slam.demo.recording import render_sequence;"
     " render_sequence(pathlib.Path(sys.argv[1]))"
 )
 

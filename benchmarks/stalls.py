@@ -25,15 +25,15 @@ import numpy as np
 from sequences import find, machine
 
 from placerec.recognizer import PlaceRecognizer, load
-from slam import odometry
-from slam.arguments import DEFAULT_RECOGNIZER
-from slam.back_end import BackEnd
+from slam.cli import DEFAULT_RECOGNIZER
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
-from slam.features import FeatureExtractor
-from slam.local_map import LocalMap
-from slam.odometry import RgbdOdometry, TrackedFrame
+from slam.geometry.features import FeatureExtractor
+from slam.loops.back_end import BackEnd
+from slam.mapping.local_map import LocalMap
 from slam.system import Slam
+from slam.tracking import odometry
+from slam.tracking.odometry import RgbdOdometry, TrackedFrame
 
 # What a call is made of, and where; a part within a part counts as the outer one.
 PARTS: dict[str, tuple[Any, str]] = {

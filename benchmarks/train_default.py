@@ -21,10 +21,9 @@ from pathlib import Path
 
 import torch
 
-from placerec.baselines.triplet import TRIPLET_WEIGHTS
-from placerec.embedding import DEFAULT_WEIGHTS
-from placerec.training_run import WEIGHTS_NAME
-from placerec.weights_file import load_weights, save_weights
+from placerec.networks.weights_file import load_weights, save_weights
+from placerec.recognizers.learned import DEFAULT_WEIGHTS, TRIPLET_WEIGHTS
+from placerec.training.run import WEIGHTS_NAME
 
 ROOT = Path(__file__).parents[1]
 SCENES = ("--rooms", "90", "--desks", "100", "--seed", "1000")

@@ -29,16 +29,16 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from placerec.interruption import deferred_interrupts
+from placerec.errors import deferred_interrupts
 from placerec.recognizer import load
 from slam.config import Config, InputConfig
 from slam.datasets import open_sequence, resolve
-from slam.datasets.drive import LAP_S, drive
-from slam.datasets.rooms.room import build_room, render
-from slam.run_folder import make_run_folder, write_run
+from slam.demo.drive import LAP_S, drive
+from slam.demo.room import build_room, render
+from slam.output.run_folder import make_run_folder, write_run
+from slam.result import SlamResult
 from slam.system import Slam
-from slam.types import Camera, FloatArray, Frame, Rejection, SlamError, SlamResult
-from slam.verdict import final_rejection
+from slam.types import Camera, FloatArray, Frame, Rejection, SlamError, final_rejection
 
 ROOM_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
 ROOM_FRAMES_PER_S = 15.0

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from placerec.recognizer import load
-from slam import se3
 from slam.config import Config, EvaluationConfig, GraphConfig, InputConfig
 from slam.datasets import Sequence, open_sequence, resolve
-from slam.drift import compare_drift
+from slam.evaluation.drift import compare_drift
+from slam.evaluation.trajectory import associate, read_tum
+from slam.geometry import se3
+from slam.result import SlamResult
 from slam.system import Slam
-from slam.trajectory import associate, read_tum
-from slam.types import FloatArray, SlamError, SlamResult, Trajectory
-from slam.verdict import final_rejection
+from slam.types import FloatArray, SlamError, Trajectory, final_rejection
 
 KEYFRAME_M, KEYFRAME_DEG = 0.2, 15.0
 CONFIG = Config(

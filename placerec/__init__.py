@@ -1,2 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a place looks like: recognizers that turn an image into a point on the unit sphere."""
+"""What a place looks like: recognizers that turn an image into a point on the unit sphere.
+
+What is named here stays; everything else may move from one version to the next. A name is loaded
+when it is first used: only those that learn take torch.
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from placerec.conformance import check
+    from placerec.errors import RecognizerError
+    from placerec.networks import PlaceNetwork, Preprocessing, Trunk
+    from placerec.recognizer import PlaceRecognizer, available, load
+    from placerec.training import Training, TrainingConfig
+
+    __version__: str
+
+_HOME = {
+    "PlaceNetwork": "placerec.networks",
+    "PlaceRecognizer": "placerec.recognizer",
+    "Preprocessing": "placerec.networks",
+    "RecognizerError": "placerec.errors",
+    "Training": "placerec.training",
+    "TrainingConfig": "placerec.training",
+    "Trunk": "placerec.networks",
+    "available": "placerec.recognizer",
+    "check": "placerec.conformance",
+    "load": "placerec.recognizer",
+}
+
+__all__ = [
+    "PlaceNetwork",
+    "PlaceRecognizer",
+    "Preprocessing",
+    "RecognizerError",
+    "Training",
+    "TrainingConfig",
+    "Trunk",
+    "__version__",
+    "available",
+    "check",
+    "load",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        return version("loopclose")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from placerec.output_file import write_atomically
-from placerec.recognizer import PlaceRecognizer, RecognizerError
+from placerec.errors import RecognizerError
+from placerec.files import write_atomically
+from placerec.recognizer import PlaceRecognizer
 
 TAIL = 0.01
 """The share of either kind of pair that its range leaves out, on each side."""

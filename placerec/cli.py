@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from placerec.commands import calibrate, check, evaluate, fit, train
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 BAD_USAGE = 2
 

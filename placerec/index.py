@@ -4,8 +4,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.comparison import COSINES, Comparer, Embeddings, Similarities
-from placerec.recognizer import RecognizerError
+from placerec.checked_recognizer import COSINES, Comparer, Embeddings, Similarities
+from placerec.errors import RecognizerError
 
 ROOM = 64
 """Places that there is room for at first."""

@@ -4,22 +4,95 @@
 import gc
 import shlex
 import sys
+from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from tqdm import tqdm
 
-from placerec.interruption import deferred_interrupts
-from placerec.recognizer import RecognizerError, load
-from slam.arguments import Arguments, parse
-from slam.types import Frame, SlamError, SlamResult
+from placerec.errors import RecognizerError, deferred_interrupts
+from placerec.recognizer import load
+from slam.config import Config, load_config
+from slam.result import SlamResult
+from slam.types import Frame, SlamError
+
+DEFAULT_RECOGNIZER = "learned"
+
+_DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
+
+  run_slam demo                         render a room and run on it; needs no data
+  run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
+  run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
+                                        Open3D, Redwood or RealSense, told by what it holds
+  run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
+  run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
+
+Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What run_slam was asked to do."""
+
+    sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
+    """Folder of a recording, short name of a TUM RGB-D benchmark sequence, or `demo`."""
+    more: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")
+    ] = ()
+    """Later recordings of the same camera, which are to make one map with the first."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the outputs; default: runs/SEQUENCE, the names of several joined by +."""
+    recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
+    """Place recognizer: an installed name, package.module:ClassName, or FILE.safetensors."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
+    settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+
+    @property
+    def sequences(self) -> tuple[str, ...]:
+        """All recordings, as they were named."""
+        return self.sequence, *self.more
+
+    @property
+    def title(self) -> str:
+        """The names of the recordings' folders, joined by +."""
+        return "+".join(Path(each).resolve().name for each in self.sequences)
+
+
+def parse(arguments: list[str]) -> Arguments:
+    """Return the parsed command line; exits with code 2 and a message where it is wrong.
+
+    Raises:
+        SlamError: the settings file cannot be used.
+    """
+    defaults = Config()
+    config_path = _config_path(arguments)
+    if config_path is not None:
+        defaults = load_config(config_path)
+    return tyro.cli(
+        tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
+        prog="run_slam",
+        description=_DESCRIPTION,
+        args=arguments,
+        default=Arguments(sequence=tyro.MISSING, settings=defaults),
+    )
+
+
+def _config_path(arguments: list[str]) -> Path | None:
+    """Find --config before the rest is parsed: it holds the defaults of the other flags."""
+    finder = ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
+    found: Path | None = finder.parse_known_args(arguments)[0].config
+    return found
+
 
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
-    from slam.drift import DriftReport
+    from slam.evaluation.drift import DriftReport
     from slam.system import Slam
 
 DEMO = "demo"
@@ -47,8 +120,8 @@ def _fail(message: str) -> int:
 def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
-    from slam.run_folder import make_run_folder, write_run
-    from slam.summary_table import summary_table
+    from slam.output.run_folder import make_run_folder, write_run
+    from slam.output.summary import summary_table
     from slam.system import Slam
 
     recognizer = load(arguments.recognizer)
@@ -104,7 +177,7 @@ def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
 
 
 def _render_demo(path: Path) -> None:
-    from slam.datasets.synthetic import render_sequence
+    from slam.demo.recording import render_sequence
 
     with closing(_Bar("rendering", unit=" frames")) as bar:
         render_sequence(path, progress=bar)
@@ -142,7 +215,7 @@ def _judge(
     result: SlamResult, sessions: "Sessions", arguments: Arguments
 ) -> tuple["DriftReport | None", tuple[str, ...]]:
     """Compare with ground truth where there is enough of it; else say why not."""
-    from slam.drift import compare_drift
+    from slam.evaluation.drift import compare_drift
 
     truth = sessions.ground_truth
     if truth is None:

@@ -3,19 +3,19 @@
 
 import numpy as np
 
-from placerec.recognizer import PlaceRecognizer, RecognizerError
-from slam import se3
-from slam.atlas import tied
-from slam.back_end import BackEnd, ClosedLoops
+from placerec.errors import RecognizerError
+from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.features import FeatureExtractor
-from slam.final_map import closed_map, too_large, where_tracking_put
-from slam.frame_checks import check_frame, checked_pose
-from slam.odometry import RgbdOdometry, TrackedFrame
-from slam.preview import preview
-from slam.rides import Rides
-from slam.smoothing import smoothed
+from slam.geometry import se3
+from slam.geometry.features import FeatureExtractor
+from slam.loops.atlas import tied
+from slam.loops.back_end import BackEnd, ClosedLoops
+from slam.mapping.map_adjustment import closed_map, too_large, where_tracking_put
+from slam.result import SlamResult
 from slam.stage_clock import StageClock
+from slam.tracking.frame_log import Rides, check_frame, checked_pose
+from slam.tracking.odometry import RgbdOdometry, TrackedFrame
+from slam.tracking.smoothing import smoothed
 from slam.types import (
     Camera,
     FloatArray,
@@ -26,8 +26,8 @@ from slam.types import (
     Rejection,
     RelativePose,
     SlamError,
-    SlamResult,
     Trajectory,
+    preview,
 )
 
 

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The values that travel between the stages; all frozen, none with behaviour of its own."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.calibration import Calibration
+from placerec.errors import LoopcloseError
 
 FloatArray = NDArray[np.float64]
 
 
-class SlamError(Exception):
-    """A problem the user can solve: one line that names it and says what to do."""
+class SlamError(LoopcloseError):
+    """A problem with a recording, a pose or a setting that the user can solve."""
 
 
 @dataclass(frozen=True)
@@ -208,43 +208,37 @@ class Link:
     motion: RelativePose
 
 
-@dataclass(frozen=True)
-class SlamResult:
-    """Everything a run found out.
+def final_rejection(attempt: LoopAttempt) -> Rejection | None:
+    """Return why a loop is not in use, or None if geometry and the pose graph both believe it."""
+    if isinstance(attempt.outcome, Rejection):
+        return attempt.outcome
+    if attempt.weight is not None and attempt.weight <= MIN_TRUSTED_WEIGHT:
+        return Rejection(RejectionReason.OUTVOTED, attempt.weight, MIN_TRUSTED_WEIGHT)
+    return None
 
-    Attributes:
-        camera: the camera it was run with.
-        keyframes: the K keyframes in order of time.
-        T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
-        odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
-        trajectory: the same, corrected. Both are smoothed where the camera was tracked here.
-        links: odometry and co-visibility motions of the pose graph.
-        attempts: every loop candidate in the order it was looked at, with its final weight.
-        similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
-        min_similarity: the threshold from which candidates were verified.
-        untracked_s: timestamps of the frames that are in no trajectory: lost, not joined, or later
-            than a failure of the recognizer.
-        stage_seconds: total wall time per stage, in the order of the pipeline; some overlap.
-        warnings: what a user should know before trusting the result; one sentence each.
-        calibration: where the recognizer's threshold comes from, None where nobody says so.
-        unjoined_s: those of the untracked frames that are in a part that was not joined.
-        session_starts_s: timestamp of the first frame of each session after the first.
-        elapsed_s: wall time of the whole run, waiting for frames included.
+
+def measured_motion(attempt: LoopAttempt) -> RelativePose | None:
+    """Return the motion that geometry measured, also of a loop that the graph outvoted."""
+    if isinstance(attempt.outcome, RelativePose):
+        return attempt.outcome
+    found = attempt.verification.outcome if attempt.verification else None
+    return found if isinstance(found, RelativePose) else None
+
+
+PREVIEW_SCALE = 0.5
+
+
+def preview(frame: Frame) -> Frame:
+    """Return the frame at half resolution: colour averaged, depth picked (never mixed).
+
+    Pixel (u, v) of the preview's depth is pixel (2 u, 2 v) of the frame's.
     """
-
-    camera: Camera
-    keyframes: tuple[Keyframe, ...]
-    T_world_kf: FloatArray
-    odometry: Trajectory
-    trajectory: Trajectory
-    links: tuple[Link, ...]
-    attempts: tuple[LoopAttempt, ...]
-    similarities: NDArray[np.float32]
-    min_similarity: float
-    untracked_s: FloatArray
-    stage_seconds: dict[str, float]
-    warnings: tuple[str, ...]
-    calibration: Calibration | None = None
-    unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    elapsed_s: float = 0.0
+    height, width = (size // 2 * 2 for size in frame.depth_m.shape)
+    rgb = frame.rgb[:height, :width]
+    rows = np.add(rgb[::2], rgb[1::2], dtype=np.uint16)
+    summed = rows[:, ::2] + rows[:, 1::2]
+    return Frame(
+        timestamp_s=frame.timestamp_s,
+        rgb=(summed // 4).astype(np.uint8),
+        depth_m=frame.depth_m[:height:2, :width:2].copy(),
+    )

@@ -11,8 +11,8 @@ from zipfile import ZipFile
 from hatchling.builders.wheel import WheelBuilder
 
 from placerec.certificate import certificate_path
-from placerec.embedding import DEFAULT_WEIGHTS
 from placerec.recognizer import ENTRY_POINT_GROUP
+from placerec.recognizers.learned import DEFAULT_WEIGHTS
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -27,9 +27,9 @@ from benchmarks.network_choice.candidates import build, candidates, embed, megab
 from benchmarks.network_choice.domains import all_images, judge, open_domains, overall
 from placerec.datasets import open_dataset
 from placerec.datasets.images import BrokenImage, images_in, read_image
+from placerec.errors import RecognizerError
 from placerec.networks import PlaceNetwork
-from placerec.recognizer import RecognizerError
-from placerec.weights_file import load_weights
+from placerec.networks.weights_file import load_weights
 
 IMAGES_OF_A_KIND = 1000
 TIMED = 30

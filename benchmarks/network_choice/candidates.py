@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from placerec.networks import TRUNKS, PlaceNetwork, Trunk
 from placerec.networks.pretrained import load_pretrained
-from placerec.networks.projection import merge, whiten
+from placerec.networks.whitening import merge, whiten
 
 Image = NDArray[np.uint8]
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.augmentation import Augmentation
 from placerec.datasets import PlaceDataset, open_dataset
 from placerec.datasets.tum import pose_distance, read_recording
-from placerec.evaluation import best_match_curve, compare, pair_curve
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
+from placerec.evaluation.precision_recall import best_match_curve, compare, pair_curve
+from placerec.training.images import Augmentation
 
 Image = NDArray[np.uint8]
 

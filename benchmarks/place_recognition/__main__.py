@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.place_recognition.trainings import Trainer, planned_trainings, share
-from placerec.embedding import DEFAULT_WEIGHTS
+from placerec.recognizers.learned import DEFAULT_WEIGHTS
 
 DOCS = Path(__file__).parents[2] / "docs"
 

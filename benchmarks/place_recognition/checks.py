@@ -7,7 +7,7 @@ from benchmarks.place_recognition.results import DEFAULT, Results
 from benchmarks.place_recognition.sets import CORRIDOR, DESK, FLOORS
 from benchmarks.place_recognition.tables import Check, markdown, relative, relative_mean
 from benchmarks.place_recognition.trainings import MAIN_TRUNK
-from placerec.cost import Cost
+from placerec.evaluation.measurement import Cost
 
 OVER_TRIPLET, OVER_UNTRAINED, FEWER_VALUES = 0.19, 0.27, -0.05
 BARS = (

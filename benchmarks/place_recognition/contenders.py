@@ -14,10 +14,10 @@ from torch.nn import functional
 
 from benchmarks.place_recognition.trainings import PUBLISHED_WEIGHTS, TRUNK_PLANS
 from placerec.datasets import PlaceDataset
-from placerec.embedding import LearnedRecognizer
-from placerec.gradients import GradientRecognizer
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
+from placerec.recognizers.gradients import GradientRecognizer
+from placerec.recognizers.learned import LearnedRecognizer
 
 Embeddings = NDArray[np.float32]
 

@@ -14,11 +14,11 @@ from benchmarks.place_recognition.trainings import (
     compared_name,
     planned_trainings,
 )
-from placerec.cost import Cost, measure_cost
 from placerec.datasets import PlaceDataset
-from placerec.embedding import LearnedRecognizer
-from placerec.gradients import GradientRecognizer
+from placerec.evaluation.measurement import Cost, measure_cost
 from placerec.recognizer import PlaceRecognizer
+from placerec.recognizers.gradients import GradientRecognizer
+from placerec.recognizers.learned import LearnedRecognizer
 
 IMAGES = 50
 

@@ -11,15 +11,15 @@ import numpy as np
 
 from benchmarks.place_recognition.contenders import Contender
 from benchmarks.place_recognition.sets import EvaluationSet
-from placerec.comparison import Similarities
+from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import (
+from placerec.evaluation.precision_recall import (
     best_match_curve,
     compare,
     pair_curve,
     recall_at,
 )
-from placerec.output_file import write_atomically
+from placerec.files import write_atomically
 
 
 @dataclass(frozen=True)

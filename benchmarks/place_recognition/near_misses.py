@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks.place_recognition.tables import markdown
-from placerec.comparison import Similarities
+from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.datasets.tum import MAX_DISTANCE, STRIDE, pose_distance, read_recording
 

@@ -37,9 +37,9 @@ from benchmarks.place_recognition.trainings import (
     papers_name,
     planned_trainings,
 )
-from placerec.output_file import write_atomically
-from placerec.training import LOG_NAME
-from placerec.training_log import read_log
+from placerec.files import write_atomically
+from placerec.training.log import read_log
+from placerec.training.loop import LOG_NAME
 
 TEMPLATE = Path(__file__).with_name("page.md.j2")
 LIBRARIES = ("torch", "numpy", "opencv-python-headless")

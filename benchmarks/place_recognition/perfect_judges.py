@@ -13,9 +13,9 @@ from placerec.datasets import PlaceDataset
 from placerec.datasets.tum import STRIDE, Recording, read_recording
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
-from slam.features import back_project
-from slam.se3 import from_quaternion, from_rotation_translation, inverse, transform
-from slam.trajectory import nearest
+from slam.evaluation.trajectory import nearest
+from slam.geometry.features import back_project
+from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse, transform
 from slam.types import Camera, FloatArray
 
 STEP_PX = 8

@@ -8,11 +8,9 @@ from matplotlib.figure import Figure
 
 from benchmarks.place_recognition.measured import Measured
 from benchmarks.place_recognition.sets import EvaluationSet
-from placerec.comparison import Similarities
-from placerec.cost import Cost
+from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import best_match_curve, best_matches, pair_curve
-from placerec.figures import (
+from placerec.evaluation.figures import (
     bars,
     dimension_comparison,
     heat_maps,
@@ -21,7 +19,9 @@ from placerec.figures import (
     recognised_places,
     svg,
 )
-from placerec.output_file import write_atomically
+from placerec.evaluation.measurement import Cost
+from placerec.evaluation.precision_recall import best_match_curve, best_matches, pair_curve
+from placerec.files import write_atomically
 
 PAPERS_EXTRACTION_MS = {"AlexNet, per pair of images": 22.0}
 PAPERS_COMPARISON_MS = {"4096 values": 0.0189}

@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
-from placerec.networks.projection import merge
-from placerec.training import Training
-from placerec.training_plan import TrainingPlan
-from placerec.training_run import WEIGHTS_NAME, start_training, write_results
-from placerec.weights_file import save_weights
-from placerec.workers import Workers
+from placerec.networks.weights_file import save_weights
+from placerec.networks.whitening import merge
+from placerec.training.config import TrainingPlan
+from placerec.training.loop import Training
+from placerec.training.run import WEIGHTS_NAME, start_training, write_results
+from placerec.training.workers import Workers
 
 # ---- The recipe: all that the trainings have in common, and what they differ in. ----
 

@@ -22,7 +22,7 @@ from benchmarks.training_scenes.folder import Image, write_folder
 from benchmarks.training_scenes.recorded import RecordedPlace
 from benchmarks.training_scenes.rendered import views
 from placerec.datasets import open_dataset
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 from slam.types import SlamError
 
 PATHS_OF_A_RECORDING = 4

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.se3 import to_quaternion
+from slam.geometry.se3 import to_quaternion
 from slam.types import FloatArray
 
 Image = NDArray[np.uint8]

@@ -4,7 +4,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.se3 import from_rotation_translation, inverse, rotation_angle
+from slam.geometry.se3 import from_rotation_translation, inverse, rotation_angle
 from slam.types import FloatArray
 
 PATH_VIEWS, PATH_S = 480, 45.0  # of which readers of video use every third

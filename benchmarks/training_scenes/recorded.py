@@ -19,8 +19,8 @@ from benchmarks.training_scenes.poses import distance, nudged, path_times_s, swi
 from placerec.datasets.tum import Recording, read_recording
 from slam.config import InputConfig
 from slam.datasets import open_sequence
-from slam.se3 import from_quaternion, from_rotation_translation, inverse
-from slam.trajectory import nearest
+from slam.evaluation.trajectory import nearest
+from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse
 from slam.types import FloatArray
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 224, 168, 181.0

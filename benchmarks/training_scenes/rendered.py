@@ -12,7 +12,9 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.training_scenes.desk_scene import TABLE_HEIGHT_M, cluttered_table, table_size
 from benchmarks.training_scenes.folder import Image, as_cheap_cameras_see
+from benchmarks.training_scenes.photographs import paper
 from benchmarks.training_scenes.poses import (
     PATH_S,
     PATH_VIEWS,
@@ -22,11 +24,9 @@ from benchmarks.training_scenes.poses import (
     pose,
     swing,
 )
-from slam.datasets.rooms.desk_scene import TABLE_HEIGHT_M, cluttered_table, table_size
-from slam.datasets.rooms.layout import furnished_room
-from slam.datasets.rooms.lighting import light
-from slam.datasets.rooms.photographs import paper
-from slam.datasets.rooms.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
+from slam.demo.layout import furnished_room
+from slam.demo.panels import light
+from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
 from slam.types import Camera, FloatArray
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 192, 144, 157.0

@@ -6,11 +6,13 @@ from typing import Annotated
 
 import tyro
 
-from placerec import calibration, fitted_file
 from placerec.certificate import TAIL, Certificate, write_certificate
 from placerec.commands.data import RECOGNIZER, embed_data, open_data
 from placerec.datasets import describe
-from placerec.recognizer import WEIGHTS_SUFFIX, RecognizerError, load
+from placerec.errors import RecognizerError
+from placerec.evaluation import calibration
+from placerec.recognizer import WEIGHTS_SUFFIX, load
+from placerec.recognizers import fitted_file
 
 
 def calibrate(
@@ -56,7 +58,7 @@ def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
         path = fitted_file.keep_calibration(Path(weights), owner, certificate)
     else:
         # Loaded here, because torch takes seconds that recognizers without weights do not need.
-        from placerec.embedding import keep_calibration
+        from placerec.recognizers.learned import keep_calibration
 
         path = keep_calibration(Path(weights), certificate)
     return f"min_similarity written to {weights}\ncertificate written to {path}"

@@ -9,12 +9,12 @@ import tyro
 
 from placerec.commands.data import RECOGNIZER, open_data, progress_bar
 from placerec.datasets import PlaceDataset, describe
-from placerec.evaluation import refuse_without_truth
-from placerec.evaluation_csv import evaluation_csv
-from placerec.evaluation_table import LEGEND, evaluation_table, notes
-from placerec.measurement import Failed, Measurement, measure
-from placerec.output_file import write_atomically
-from placerec.recognizer import PlaceRecognizer, RecognizerError, available, load
+from placerec.errors import RecognizerError
+from placerec.evaluation.measurement import Failed, Measurement, measure
+from placerec.evaluation.precision_recall import refuse_without_truth
+from placerec.evaluation.tables import LEGEND, evaluation_csv, evaluation_table, notes
+from placerec.files import write_atomically
+from placerec.recognizer import PlaceRecognizer, available, load
 
 ALL = "all"
 SOMETHING_FAILED = 1
@@ -134,7 +134,7 @@ def _make_folder(folder: Path) -> None:
 
 def _write(rows: Sequence[Measurement], folder: Path) -> None:
     # Loaded here, because drawing takes a second to load that the other commands do not need.
-    from placerec.report import render
+    from placerec.evaluation.report import render
 
     write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
     with progress_bar("drawing", len(rows), "figure") as progress:

@@ -14,15 +14,10 @@ from numpy.typing import NDArray
 
 from placerec.commands.data import open_images, progress_bar
 from placerec.datasets import PlaceDataset
-from placerec.embedded_images import Progress
-from placerec.fitted_file import Fitted, write_fitted
-from placerec.recognizer import (
-    WEIGHTS_SUFFIX,
-    RecognizerError,
-    cause_of,
-    find,
-    imported,
-)
+from placerec.errors import RecognizerError
+from placerec.evaluation.embeddings import Progress
+from placerec.recognizer import WEIGHTS_SUFFIX, cause_of, find, imported
+from placerec.recognizers.fitted_file import Fitted, write_fitted
 
 Fit = Callable[[Sequence[NDArray[np.uint8]], int], Fitted]
 """A class method: it takes (H, W, 3) uint8 RGB images, decoded when they are asked for, and a seed.

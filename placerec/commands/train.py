@@ -11,12 +11,11 @@ from tqdm import tqdm
 
 from placerec.commands.data import open_all
 from placerec.datasets import LabelledImages
-from placerec.interruption import deferred_interrupts
-from placerec.recognizer import RecognizerError
-from placerec.training_plan import TrainingPlan
+from placerec.errors import RecognizerError, deferred_interrupts
+from placerec.training.config import TrainingPlan
 
 if TYPE_CHECKING:
-    from placerec.training import Training
+    from placerec.training.loop import Training
 
 
 def train(
@@ -44,8 +43,8 @@ def train(
         plan: what is trained, and how.
     """
     # Loaded here, because torch takes seconds that the other commands do not need.
-    from placerec.training_run import start_training, write_results
-    from placerec.workers import Workers
+    from placerec.training.run import start_training, write_results
+    from placerec.training.workers import Workers
 
     if not data:
         raise RecognizerError("train needs at least one folder of images; see --help")

@@ -2,8 +2,8 @@
 """Whether a recognizer keeps to the protocol: `placerec check`, or a test of pytest per check."""
 
 from placerec.conformance.examination import CHECKS, SECTIONS, Examination, Report, check
-from placerec.conformance.finding import Check, Finding, Verdict
-from placerec.conformance.pictures import PLACES
+from placerec.conformance.made_images import PLACES
+from placerec.conformance.subject import Check, Finding, Verdict
 
 __all__ = [
     "CHECKS",

@@ -7,10 +7,10 @@ from contextlib import redirect_stdout
 
 import numpy as np
 
-from placerec.conformance.finding import Check, Outcome, judged, not_tried
-from placerec.conformance.pictures import Image, colourless, odd_sizes, places
-from placerec.conformance.subject import Subject
-from placerec.recognizer import MAX_LENGTH_ERROR, CheckedRecognizer, RecognizerError
+from placerec.checked_recognizer import MAX_LENGTH_ERROR, CheckedRecognizer
+from placerec.conformance.made_images import Image, colourless, odd_sizes, places
+from placerec.conformance.subject import Check, Outcome, Subject, judged, not_tried
+from placerec.errors import RecognizerError
 
 NUMBERS = "returns numbers"
 SHAPE = "one shape"

@@ -8,18 +8,25 @@ from time import perf_counter
 
 import numpy as np
 
-from placerec.conformance import answer, memory, recognition, repetition
-from placerec.conformance.finding import Check, Finding, Outcome, Verdict, not_tried
-from placerec.conformance.pictures import places
-from placerec.conformance.subject import NamelessError, Subject
-from placerec.cost import Cost, measure_cost
+from placerec.conformance import answer, recognition, repetition
+from placerec.conformance.made_images import places
+from placerec.conformance.subject import (
+    Check,
+    Finding,
+    NamelessError,
+    Outcome,
+    Subject,
+    Verdict,
+    not_tried,
+)
+from placerec.evaluation.measurement import Cost, measure_cost
 from placerec.recognizer import PlaceRecognizer
 
 SECTIONS = {
     "what it returns": answer.CHECKS,
     "the same image gives the same bytes": repetition.CHECKS,
     "places are found again": recognition.CHECKS,
-    "what it costs on this machine": memory.CHECKS,
+    "what it costs on this machine": repetition.COSTS,
 }
 CHECKS: tuple[Check, ...] = tuple(check for checks in SECTIONS.values() for check in checks)
 _BY_NAME = {check.name: check for check in CHECKS}

@@ -6,12 +6,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.comparison import flaw_in
+from placerec.checked_recognizer import CheckedRecognizer, flaw_in
 from placerec.conformance.answer import LENGTH, MEMBERS
-from placerec.conformance.finding import Check, Outcome, judged, not_tried
-from placerec.conformance.pictures import BRIGHTER, DARKER, PLACES, SHIFT_PX, Image, places, relit
-from placerec.conformance.subject import Subject
-from placerec.recognizer import CheckedRecognizer
+from placerec.conformance.made_images import (
+    BRIGHTER,
+    DARKER,
+    PLACES,
+    SHIFT_PX,
+    Image,
+    places,
+    relit,
+)
+from placerec.conformance.subject import Check, Outcome, Subject, judged, not_tried
 
 SIMILARITIES = "similarities from -1 to 1"
 ALONE = "leaves embeddings alone"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks that the same image gives the same bytes, whenever and wherever it is embedded."""
+"""Checks that an image gives the same bytes whenever and wherever, and is then let go of."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.conformance.answer import FINITE, SHAPE
-from placerec.conformance.finding import Check, Outcome, judged
-from placerec.conformance.pictures import places
-from placerec.conformance.subject import Subject
+from placerec.conformance.made_images import places
+from placerec.conformance.subject import Check, Outcome, Subject, judged, not_tried
 
 AGAINS = 3
 THREADS = 4
@@ -24,6 +23,8 @@ ROUNDS = 2
 PAUSES = 500
 """In each thread; the lines after that run on."""
 PAUSE_S = 1e-5
+MAX_KEPT_MB = 0.4
+"""Half an image: what the system counts wavers by less."""
 
 AGAIN = "the same image again"
 ALONE = "whatever came before"
@@ -106,6 +107,13 @@ def _same(expected: Sequence[NDArray[Any]], found: Sequence[NDArray[Any]]) -> Ou
     return judged(False, f"{len(wrong)} of {len(pairs)} differ {how}")
 
 
+def _keeps_no_images(subject: Subject) -> Outcome:
+    kept_mb = subject.fresh_run.kept_mb
+    if np.isnan(kept_mb):
+        return not_tried("only Linux tells how much memory is taken")
+    return judged(kept_mb <= MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image")
+
+
 CHECKS = (
     Check(
         AGAIN,
@@ -142,5 +150,13 @@ CHECKS = (
         _fresh_process,
         "depend on nothing else: hash() of a string, the order of a set, id(), the time",
         needs=(SECOND,),
+    ),
+)
+COSTS = (
+    Check(
+        "keeps no images",
+        _keeps_no_images,
+        "let go of each image and what was made of it; run a network in torch.inference_mode()",
+        needs=(FRESH,),
     ),
 )

@@ -1,19 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recognizer that is looked at."""
 
+import os
+import subprocess
+import sys
 import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.comparison import COSINES, Comparer
-from placerec.conformance.fresh_process import FreshRun, run_in_fresh_process
-from placerec.conformance.pictures import Image, places
-from placerec.recognizer import PlaceRecognizer, RecognizerError, load
+from placerec.checked_recognizer import COSINES, Comparer
+from placerec.conformance.made_images import Image, places
+from placerec.errors import RecognizerError
+from placerec.recognizer import PlaceRecognizer, load
+
+ROUNDS = 4
+STATUS = Path("/proc/self/status")
+CODE = "from placerec.conformance.subject import main; main()"
+
+
+@dataclass(frozen=True)
+class FreshRun:
+    """What a recognizer did in a fresh process.
+
+    Attributes:
+        embeddings: of the places, (N, ...) as it returned them.
+        own_mb: memory that it took to load and to work, NaN where the system does not tell.
+        kept_mb: memory that every further image took for good, NaN likewise.
+    """
+
+    embeddings: NDArray[Any]
+    own_mb: float
+    kept_mb: float
+
+
+def run_in_fresh_process(name: str) -> FreshRun:
+    """Return what a recognizer does in another Python, with another order of sets.
+
+    Raises:
+        RecognizerError: it cannot be loaded there, or fails.
+    """
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "run.npz"
+        paths = os.pathsep.join(path for path in sys.path if path)
+        done = subprocess.run(
+            [sys.executable, "-c", CODE, name, str(out)],
+            env=os.environ | {"PYTHONPATH": paths, "PYTHONHASHSEED": "random"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+        if done.returncode:
+            said = done.stderr.strip().splitlines()
+            raise RecognizerError(said[-1] if said else f"it ended with code {done.returncode}")
+        with np.load(out) as run:
+            own_mb, kept_mb = (float(value) for value in run["memory_mb"])
+            return FreshRun(run["embeddings"], own_mb, kept_mb)
+
+
+def main() -> None:
+    """Run the recognizer that the command line names, and leave what it did in a file."""
+    name, out = sys.argv[1:]
+    images = places()
+    before_mb = _status_mb("VmRSS")
+    try:
+        recognizer = load(name)
+    except RecognizerError as error:
+        sys.exit(str(error))  # the last line of stderr is what the other process looks at
+    embeddings = [np.asarray(recognizer.embed(image.copy())) for image in images]
+    settled_mb = _status_mb("VmRSS")
+    for image in images * ROUNDS:
+        recognizer.embed(image.copy())
+    kept_mb = (_status_mb("VmRSS") - settled_mb) / (len(images) * ROUNDS)
+    memory_mb = (_status_mb("VmHWM") - before_mb, kept_mb)
+    np.savez(out, embeddings=np.stack(embeddings), memory_mb=memory_mb)
+
+
+def _status_mb(key: str) -> float:
+    """Return a figure of Linux about this process: memory now (VmRSS) or at most (VmHWM)."""
+    if not STATUS.exists():
+        return float("nan")
+    rows = dict(line.split(":", 1) for line in STATUS.read_text().splitlines())
+    return int(rows[key].split()[0]) / 1024
 
 
 class NamelessError(Exception):
@@ -94,3 +173,60 @@ class Subject:
         """Return whether the package that the recognizer comes from is running there."""
         running = str(frame.f_globals.get("__name__", ""))
         return running.split(".")[0] == type(self.recognizer).__module__.split(".")[0]
+
+
+class Verdict(StrEnum):
+    """Whether a recognizer does what a check asks for; the values are what people read."""
+
+    PASSED = "ok"
+    FAILED = "FAIL"
+    NOT_TRIED = "--"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A verdict and, in one line, the value that led to it."""
+
+    verdict: Verdict
+    measured: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that a recognizer must do.
+
+    Attributes:
+        name: what it must do, in a few words.
+        run: tries it out; where that raises, the check has failed.
+        remedy: what the recognizer's author can do where it fails, in one line.
+        needs: the names of earlier checks without which this one would say nothing new.
+    """
+
+    name: str
+    run: Callable[[Subject], Outcome]
+    remedy: str
+    needs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A check that was made, or not tried, and its outcome."""
+
+    check: Check
+    verdict: Verdict
+    measured: str
+
+    @property
+    def failed(self) -> bool:
+        """Whether the recognizer does not do what it must."""
+        return self.verdict is Verdict.FAILED
+
+
+def judged(is_good: bool, measured: str) -> Outcome:
+    """Return the outcome of a check that was made."""
+    return Outcome(Verdict.PASSED if is_good else Verdict.FAILED, measured)
+
+
+def not_tried(why: str) -> Outcome:
+    """Return the outcome of a check that could not be made, or need not be."""
+    return Outcome(Verdict.NOT_TRIED, why)

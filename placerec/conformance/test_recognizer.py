@@ -7,7 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from placerec.conformance import CHECKS, Check, Examination, Verdict
-from placerec.recognizer import RecognizerError, load
+from placerec.errors import RecognizerError
+from placerec.recognizer import load
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

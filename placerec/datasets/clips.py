@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_csv
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 TEST_FLOORS = frozenset({"basement3", "floor6", "floor11", "floor16", "floor21"})
 VALIDATION_FLOORS = frozenset({"basement0", "floor9", "floor19"})

@@ -10,7 +10,7 @@ from placerec.datasets.frame_pairs import read_drives, read_frame_pairs
 from placerec.datasets.oxford import find_ground_truth, read_oxford
 from placerec.datasets.place_dataset import PlaceDataset
 from placerec.datasets.tum import read_tum, read_tum_sessions
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 def open_dataset(source: str, part: str = "test") -> PlaceDataset:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from placerec.datasets.images import images_in
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_csv
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 TOLERANCE_FRAMES = 2
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 LONGEST_PX = 384
 """Longer sides are shrunk to this, more than any network here looks at: the rest costs time."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage, find_fault, read_image
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 BoolMatrix = NDArray[np.bool_]
 

@@ -5,7 +5,7 @@ import csv
 from collections.abc import Iterator
 from pathlib import Path
 
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 def read_rows(file: Path) -> Iterator[tuple[int, list[str]]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_rows
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 MAX_TIME_DIFFERENCE_S = 0.02
 MAX_DISTANCE = 0.6

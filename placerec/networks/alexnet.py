@@ -1,13 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""AlexNet's convolutions (Krizhevsky 2014), laid out as torchvision's so that its weights fit."""
+"""AlexNet's convolutions, twice: torchvision's (Krizhevsky 2014) and Caffe's."""
+
+from collections import OrderedDict
 
 from torch import nn
 
-from placerec.networks.preprocessing import IMAGENET_MEAN, IMAGENET_SCALE, Preprocessing
+from placerec.networks.preprocessing import (
+    CAFFE_INPUT,
+    IMAGENET_MEAN,
+    IMAGENET_SCALE,
+    Preprocessing,
+)
 from placerec.networks.trunk import Trunk, with_random_weights
 
 
-def _layers() -> nn.Sequential:
+def _pool() -> nn.Module:
+    return nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
+
+
+def _norm() -> nn.Module:
+    return nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75)
+
+
+def _caffenet() -> nn.Sequential:
+    layers: OrderedDict[str, nn.Module] = OrderedDict()
+    layers["conv1"] = nn.Conv2d(3, 96, kernel_size=11, stride=4)
+    layers.update(relu1=nn.ReLU(), pool1=_pool(), norm1=_norm())
+    layers["conv2"] = nn.Conv2d(96, 256, kernel_size=5, padding=2, groups=2)
+    layers.update(relu2=nn.ReLU(), pool2=_pool(), norm2=_norm())
+    layers["conv3"] = nn.Conv2d(256, 384, kernel_size=3, padding=1)
+    layers["relu3"] = nn.ReLU()
+    layers["conv4"] = nn.Conv2d(384, 384, kernel_size=3, padding=1, groups=2)
+    layers["relu4"] = nn.ReLU()
+    layers["conv5"] = nn.Conv2d(384, 256, kernel_size=3, padding=1, groups=2)
+    layers["relu5"] = nn.ReLU()
+    return with_random_weights(nn.Sequential(layers))
+
+
+CAFFENET = Trunk(
+    name="caffenet",
+    build=_caffenet,
+    preprocessing=CAFFE_INPUT,
+    blocks={"conv1": 2, "conv2": 6, "conv3": 10, "conv4": 12, "conv5": 14},
+)
+
+
+def _alexnet() -> nn.Sequential:
     layers = nn.Sequential(
         nn.Conv2d(3, 64, kernel_size=11, stride=4, padding=2),
         nn.ReLU(),
@@ -28,7 +66,7 @@ def _layers() -> nn.Sequential:
 
 ALEXNET = Trunk(
     name="alexnet",
-    build=_layers,
+    build=_alexnet,
     preprocessing=Preprocessing(
         width_px=224,
         height_px=224,

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from placerec.networks.covariance import Covariance
+from placerec.errors import RecognizerError
+from placerec.networks.pooling import Covariance, Vlad, WhitenedLinear
 from placerec.networks.trunk import Trunk
-from placerec.networks.vlad import Vlad
-from placerec.networks.whitened_linear import WhitenedLinear
-from placerec.recognizer import RecognizerError
 
 
 class PlaceNetwork(nn.Module):

@@ -17,12 +17,11 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
+from placerec.errors import RecognizerError
+from placerec.files import cache_folder, write_atomically
 from placerec.networks.caffemodel import read_caffemodel
 from placerec.networks.place_network import PlaceNetwork
 from placerec.networks.trunk import Trunk
-from placerec.output_file import write_atomically
-from placerec.recognizer import RecognizerError
-from placerec.user_cache import cache_folder
 
 TIMEOUT_S = 30.0
 OURS = ".safetensors"

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from torch import nn
 
+from placerec.errors import RecognizerError
 from placerec.networks.preprocessing import Preprocessing
-from placerec.recognizer import RecognizerError
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from slam.config import InputConfig
 from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
-from slam.datasets.open3d_folder import open_open3d
-from slam.datasets.realsense import open_realsense
+from slam.datasets.open3d_folder import open_open3d, open_realsense
 from slam.datasets.scannet import open_scannet
 from slam.datasets.sequence import Sequence
 from slam.datasets.seven_scenes import open_seven_scenes

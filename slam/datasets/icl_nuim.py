@@ -15,14 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam import se3
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, rescaled
-from slam.datasets.images import BrokenImage
-from slam.datasets.numbered_images import FRAMES_PER_S, numbered_images
+from slam.datasets.images import FRAMES_PER_S, BrokenImage, numbered_images
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.tables import as_numbers, in_order, read_lines
-from slam.datasets.true_poses import read_pose_list, rigid
+from slam.datasets.true_poses import as_numbers, in_order, read_lines, read_pose_list, rigid
+from slam.geometry import se3
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
 CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5, depth_scale=5000.0)

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from slam.config import InputConfig
-from slam.datasets.cameras import named_camera, rescaled
-from slam.datasets.intrinsics import read_intrinsics
-from slam.datasets.numbered_images import FRAMES_PER_S, numbered_pairs
+from slam.datasets.cameras import named_camera, read_intrinsics, rescaled
+from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import read_pose_log
+from slam.datasets.true_poses import as_numbers, in_order, read_lines, read_pose_log
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
 COLOR_FOLDERS = ("color", "rgb", "image")
@@ -84,3 +83,77 @@ def _read_truth(log: Path, images: list[ImagePair]) -> Trajectory:
         )
     stamps_s: FloatArray = np.array([images[frame].timestamp_s for frame in frames])
     return Trajectory(stamps_s, np.array([T for _, T in poses]))
+
+
+_SEPARATOR = re.compile(r"[\s,;]+")
+_MAX_STEP_S = 1.0
+
+
+def open_realsense(path: Path, config: InputConfig) -> Sequence:
+    """Open a folder of color/ (or rgb/, image/), depth/, intrinsics.json, timestamps.csv (or .txt).
+
+    Images are paired by their numbers. A line of timestamps is the number or name of an image and
+    its time, or a time alone, one for each image. Times are seconds, or milliseconds where frames
+    would otherwise follow each other by more than a second, as pyrealsense2 gives them.
+
+    Raises:
+        SlamError: the times, the camera or most images are not usable.
+    """
+    warnings: list[str] = []
+    pairs = numbered_pairs(color_folder(path), path / "depth", warnings)
+    names = ("timestamps.csv", "timestamps.txt")
+    file = next(path / name for name in names if (path / name).is_file())
+    stamps_s = _read_times(file, [pair.number for pair in pairs], warnings)
+    timed = [pair for pair in pairs if pair.number in stamps_s]
+    if not timed:
+        raise SlamError(f"no line is of an image in {color_folder(path).name}/: {file}")
+    if len(timed) < len(pairs):
+        warnings.append(
+            f"{len(pairs) - len(timed)} of {len(pairs)} images have no line in {file.name} and are"
+            " not used"
+        )
+    images = [ImagePair(stamps_s[number], color, depth) for number, color, depth in timed]
+    camera = named_camera(path, config) or read_intrinsics(path / "intrinsics.json")
+    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
+    return Sequence(
+        path.resolve().name,
+        rescaled(camera, config),
+        [images[i] for i in kept],
+        warnings=tuple(warnings),
+    )
+
+
+def _read_times(file: Path, numbers: list[int], warnings: list[str]) -> dict[int, float]:
+    """Return the time, seconds, of each numbered image that has one."""
+    lines = list(read_lines(file))
+    if lines and not any(as_numbers([field]) for field in _SEPARATOR.split(lines[0][1])):
+        del lines[0]  # the columns' names
+    rows = [_read_row(number, line, file) for number, line in lines]
+    if not rows:
+        raise SlamError(f"the list holds no time: {file}")
+    if len({image is None for image, _ in rows}) == 2:
+        raise SlamError(f"some lines name an image and its time, others hold a time alone: {file}")
+    if rows[0][0] is None:
+        if len(rows) != len(numbers):
+            raise SlamError(f"there are {len(rows)} times for {len(numbers)} images: {file}")
+        rows = [(image, time) for image, (_, time) in zip(numbers, rows, strict=True)]
+    step = float(np.median(np.abs(np.diff([time for _, time in rows])))) if len(rows) > 1 else 0.0
+    if step > 1000.0 * _MAX_STEP_S:
+        raise SlamError(
+            f"times follow each other by {step:g}; seconds or milliseconds are expected: {file}"
+        )
+    if step > _MAX_STEP_S:
+        warnings.append(f"{file.name} steps by {step:g} and was read as milliseconds")
+    unit_s = 0.001 if step > _MAX_STEP_S else 1.0
+    return {image: unit_s * time for image, time in rows if image is not None}
+
+
+def _read_row(number: int, line: str, file: Path) -> tuple[int | None, float]:
+    """Return (image number or None, time) of one line."""
+    fields = _SEPARATOR.split(line)
+    named = ANY_IMAGE.fullmatch(Path(fields[0]).name)
+    image = named[1] if named else fields[0]
+    values = as_numbers(fields[-1:] if len(fields) == 1 else fields[1:2])
+    if values is None or (len(fields) > 1 and not image.isdecimal()):
+        raise SlamError(f'line {number} is neither "image time" nor "time": {line!r}: {file}')
+    return int(image) if len(fields) > 1 else None, values[0]

@@ -12,10 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.config import InputConfig
-from slam.datasets.cameras import camera_of, named_camera, rescaled
-from slam.datasets.images import read_size
-from slam.datasets.intrinsics import UNITS_PER_M
-from slam.datasets.numbered_images import FRAMES_PER_S, NumberedPair, numbered_pairs
+from slam.datasets.cameras import UNITS_PER_M, camera_of, named_camera, rescaled
+from slam.datasets.images import FRAMES_PER_S, NumberedPair, numbered_pairs, read_size
 from slam.datasets.registration import Registration, resized
 from slam.datasets.sequence import ImagePair, Sequence
 from slam.datasets.true_poses import read_matrix, read_pose_files

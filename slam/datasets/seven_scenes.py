@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from slam import se3
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, rescaled
-from slam.datasets.numbered_images import FRAMES_PER_S, numbered_images
+from slam.datasets.images import FRAMES_PER_S, numbered_images
 from slam.datasets.registration import Registration
 from slam.datasets.sequence import ImagePair, Sequence
 from slam.datasets.true_poses import read_pose_files
+from slam.geometry import se3
 from slam.types import Camera
 
 _NAME = re.compile(r"frame-(\d+)\.color\.png")

@@ -11,8 +11,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam import se3
-from slam.output_file import write_atomically
+from placerec.files import write_atomically
+from slam.geometry import se3
 from slam.pose_graph.batch import pose_at
 from slam.types import FloatArray, Link, SlamError
 

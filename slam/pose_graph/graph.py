@@ -7,12 +7,13 @@ import gtsam
 import numpy as np
 
 from slam.config import GraphConfig
-from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import optimize
 from slam.pose_graph.robust import (
     LINEAR,
     SUPER_LINEAR,
     RobustSolution,
+    contested_motions,
+    doubts,
     solve_robustly,
 )
 from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, Link, RelativePose, SlamError

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam import se3
+from slam.geometry import se3
 from slam.types import Camera
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "long_run.py"

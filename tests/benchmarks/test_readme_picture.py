@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.config import Config, to_toml
-from slam.trajectory import write_tum
+from slam.evaluation.trajectory import write_tum
 from slam.types import Trajectory
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "readme_picture.py"

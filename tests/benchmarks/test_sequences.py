@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from slam.datasets.synthetic import render_sequence
+from slam.demo.recording import render_sequence
 from slam.types import Camera
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "sequences.py"

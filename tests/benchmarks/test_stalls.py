@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from slam.datasets.synthetic import render_sequence
-from slam.features import FeatureExtractor
+from slam.demo.recording import render_sequence
+from slam.geometry.features import FeatureExtractor
 from slam.types import Camera
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "stalls.py"

@@ -9,7 +9,7 @@ import torch
 
 from placerec.datasets import open_collection
 from placerec.networks import TRUNKS, PlaceNetwork
-from placerec.weights_file import load_weights, save_weights
+from placerec.networks.weights_file import load_weights, save_weights
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "train_default.py"
 

@@ -12,8 +12,8 @@ import pytest
 
 from slam.config import InputConfig
 from slam.datasets import open_sequence
-from slam.datasets.synthetic import render_sequence
-from slam.trajectory import read_tum
+from slam.demo.recording import render_sequence
+from slam.evaluation.trajectory import read_tum
 from slam.types import Camera, Frame, SlamError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "live_camera.py"

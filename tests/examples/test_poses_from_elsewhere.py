@@ -7,9 +7,9 @@ import pytest
 
 from slam.config import EvaluationConfig, InputConfig
 from slam.datasets import open_sequence
-from slam.datasets.synthetic import render_sequence
-from slam.drift import trajectory_error
-from slam.trajectory import write_tum
+from slam.demo.recording import render_sequence
+from slam.evaluation.drift import trajectory_error
+from slam.evaluation.trajectory import write_tum
 from slam.types import Camera, SlamError, Trajectory
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "poses_from_elsewhere.py"

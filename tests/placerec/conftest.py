@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from placerec import embedding_cache
-from placerec.bootstrap import Intervals
-from placerec.cost import Cost
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import BestMatches, Curve, Evaluation
-from placerec.measurement import Measured
+from placerec.evaluation import embeddings as embedding_cache
+from placerec.evaluation.bootstrap import Intervals
+from placerec.evaluation.measurement import Cost, Measured
+from placerec.evaluation.precision_recall import BestMatches, Curve, Evaluation
 
 if TYPE_CHECKING:
     import torch

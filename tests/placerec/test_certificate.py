@@ -13,8 +13,8 @@ from placerec.certificate import (
     read_certificate,
     write_certificate,
 )
-from placerec.gradients import GradientRecognizer
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
+from placerec.recognizers.gradients import GradientRecognizer
 
 
 def test_reads_what_it_wrote(tmp_path, certificate):

@@ -10,7 +10,7 @@ from placerec.cli import main
 
 
 def test_check_prints_a_table_and_passes(capsys):
-    assert main(["check", "placerec.gradients:GradientRecognizer"]) == 0
+    assert main(["check", "placerec.recognizers.gradients:GradientRecognizer"]) == 0
     out = capsys.readouterr().out
     assert "\n  ok    one shape                   (496,)\n" in out
     assert re.search(r"\n {8}to embed 640x480            \d+\.\d ms\n", out)
@@ -48,7 +48,7 @@ def test_bad_usage(arguments):
     assert caught.value.code == 2
 
 
-GRADIENTS = "placerec.gradients:GradientRecognizer"
+GRADIENTS = "placerec.recognizers.gradients:GradientRecognizer"
 evaluate = import_module("placerec.commands.evaluate")  # the name in the package is the function's
 
 

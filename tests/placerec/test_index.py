@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placerec.comparison import COSINES
+from placerec.checked_recognizer import COSINES
+from placerec.errors import RecognizerError
 from placerec.index import PlaceIndex
-from placerec.recognizer import RecognizerError
 
 
 def _unit(rng: np.random.Generator, count: int, size: int) -> np.ndarray:

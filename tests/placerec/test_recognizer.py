@@ -5,13 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placerec.recognizer import (
-    CheckedRecognizer,
-    PlaceRecognizer,
-    RecognizerError,
-    available,
-    load,
-)
+from placerec.checked_recognizer import CheckedRecognizer
+from placerec.errors import RecognizerError
+from placerec.recognizer import PlaceRecognizer, available, load
 
 IMAGE = np.zeros((4, 4, 3), np.uint8)
 

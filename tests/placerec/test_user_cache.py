@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from placerec.user_cache import cache_folder
+from placerec.files import cache_folder
 
 
 def test_it_follows_the_convention_of_the_desktop(monkeypatch, tmp_path):

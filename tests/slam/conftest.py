@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from placerec.gradients import GradientRecognizer
-from slam import se3
+from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
-from slam.datasets.synthetic import render_sequence
-from slam.features import back_project
+from slam.demo.recording import render_sequence
+from slam.geometry import se3
+from slam.geometry.features import back_project
+from slam.result import SlamResult
 from slam.system import Slam
-from slam.types import Camera, Features, FloatArray, Frame, SlamResult
+from slam.types import Camera, Features, FloatArray, Frame
 
 SHARED_DATA = Path(__file__).parents[2] / "../shared/data"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from slam.arguments import parse
+from slam.cli import parse
 from slam.config import Config, to_toml
 from slam.types import SlamError
 

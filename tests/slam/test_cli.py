@@ -17,13 +17,13 @@ import pytest
 
 from placerec import certificate
 from placerec.certificate import Certificate
-from placerec.embedding import LearnedRecognizer, keep_calibration
 from placerec.networks import TRUNKS, PlaceNetwork
-from placerec.weights_file import save_weights
+from placerec.networks.weights_file import save_weights
+from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
 from slam.cli import main
 from slam.datasets import read_camera, write_camera
+from slam.evaluation.trajectory import read_tum
 from slam.system import Slam
-from slam.trajectory import read_tum
 
 ROOT = Path(__file__).parents[2]
 OUTPUTS = [
@@ -159,11 +159,11 @@ def test_the_demo_is_rendered_once_into_the_run(monkeypatch, short_recording, ru
         shutil.copytree(rendered, path)
         progress(6, 6)
 
-    monkeypatch.setattr("slam.datasets.synthetic.render_sequence", render)
+    monkeypatch.setattr("slam.demo.recording.render_sequence", render)
     first = run_slam("demo", *QUICK)
     assert first.code == 0 and "6 of 6 tracked" in first.out
     assert (first.folder / "sequence" / "rgb.txt").is_file()
-    monkeypatch.setattr("slam.datasets.synthetic.render_sequence", None)
+    monkeypatch.setattr("slam.demo.recording.render_sequence", None)
     assert run_slam("demo", *QUICK).code == 0
 
 

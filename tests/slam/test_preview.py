@@ -2,8 +2,7 @@
 import numpy as np
 import pytest
 
-from slam.preview import preview
-from slam.types import Frame
+from slam.types import Frame, preview
 
 
 def frame_of(rgb, depth_m):

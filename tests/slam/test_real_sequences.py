@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from placerec.gradients import GradientRecognizer
+from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import EvaluationConfig, InputConfig
 from slam.datasets import Sessions, open_sequence
-from slam.drift import DriftReport, compare_drift, trajectory_error
-from slam.ledger import write_ledger
+from slam.evaluation.drift import DriftReport, compare_drift, trajectory_error
+from slam.evaluation.trajectory import write_tum
+from slam.output.ledger import write_ledger
+from slam.result import SlamResult
 from slam.system import Slam
-from slam.trajectory import write_tum
-from slam.types import SlamResult
 
 
 class Run(NamedTuple):

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from placerec import certificate
-from placerec.calibration import calibrate
 from placerec.datasets import PlaceDataset
-from placerec.gradients import GradientRecognizer
-from placerec.recognizer import RecognizerError
-from slam import atlas, final_map, se3
+from placerec.errors import RecognizerError
+from placerec.evaluation.calibration import calibrate
+from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, EvaluationConfig, GraphConfig, LoopConfig, MotionConfig
-from slam.drift import compare_drift, trajectory_error
-from slam.odometry import TrackedFrame
+from slam.evaluation.drift import compare_drift, trajectory_error
+from slam.geometry import se3
+from slam.loops import atlas
+from slam.mapping import map_adjustment
 from slam.pose_graph import PoseGraph
 from slam.system import Slam
+from slam.tracking.odometry import TrackedFrame
 from slam.types import Camera, Rejection, RelativePose, SlamError
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -242,7 +244,7 @@ def test_finish_may_be_asked_for_more_than_once(frames):
 def test_a_run_too_long_to_be_adjusted_has_the_poses_of_the_graph_and_says_so(
     frames, result, monkeypatch
 ):
-    monkeypatch.setattr(final_map, "MOST_KEYFRAMES", len(result.keyframes) - 1)
+    monkeypatch.setattr(map_adjustment, "MOST_KEYFRAMES", len(result.keyframes) - 1)
     longer = run(frames)
     (warning,) = longer.warnings
     assert warning.startswith(f"{len(result.keyframes)} keyframes are more than")

@@ -4,7 +4,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.place_recognition.perfect_judges import NOTHING_IN_COMMON, View, look_again
-from slam.se3 import from_rotation_translation, inverse, transform
+from slam.geometry.se3 import from_rotation_translation, inverse, transform
 from slam.types import Camera, FloatArray
 
 CAMERA = Camera(200, 160, 200.0, 200.0, 99.5, 79.5)

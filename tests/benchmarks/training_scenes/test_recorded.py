@@ -11,7 +11,7 @@ from benchmarks.training_scenes.poses import distance
 from benchmarks.training_scenes.recorded import APART, RADIUS, RecordedPlace
 from slam.config import InputConfig
 from slam.datasets import open_sequence
-from slam.datasets.synthetic import render_sequence
+from slam.demo.recording import render_sequence
 from slam.types import Camera, Frame
 
 FOCAL_PX = 320.0 * recorded.FOCAL_PX / recorded.WIDTH_PX

@@ -6,7 +6,7 @@ import pytest
 
 from placerec.certificate import read_certificate
 from placerec.cli import main
-from placerec.fitted_file import Fitted, read_fitted
+from placerec.recognizers.fitted_file import Fitted, read_fitted
 
 
 class Brightness:

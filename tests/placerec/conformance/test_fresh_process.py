@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placerec.conformance.fresh_process import STATUS, run_in_fresh_process
-from placerec.conformance.pictures import places
-from placerec.recognizer import RecognizerError, load
+from placerec.conformance.made_images import places
+from placerec.conformance.subject import STATUS, run_in_fresh_process
+from placerec.errors import RecognizerError
+from placerec.recognizer import load
 
 MODULE = """
 import os, sys

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.clips import PARTS, TEST_FLOORS, VALIDATION_FLOORS, read_clips
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 def test_parts_of_the_tower_share_no_floor_and_lose_no_image(real_data):

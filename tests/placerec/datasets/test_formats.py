@@ -4,7 +4,7 @@ import pytest
 import scipy.io
 
 from placerec.datasets import open_collection, open_dataset
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 def test_each_format_is_told_by_its_files(tmp_path, write_image):

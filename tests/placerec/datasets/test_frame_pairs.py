@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.frame_pairs import read_frame_pairs
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 def test_corridor_has_a_tolerance_of_two_frames(real_data):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets import LabelledImages, PlaceDataset
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 import scipy.io
 
 from placerec.datasets.oxford import read_oxford
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 IMAGES = 16
 

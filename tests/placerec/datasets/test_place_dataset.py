@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 @pytest.fixture

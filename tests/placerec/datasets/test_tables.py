@@ -2,7 +2,7 @@
 import pytest
 
 from placerec.datasets.tables import read_csv, read_rows
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 
 def test_rows_are_fields_without_comments_and_blanks(tmp_path):

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.tum import pose_distance, read_tum, read_tum_sessions
-from placerec.recognizer import RecognizerError
+from placerec.errors import RecognizerError
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 

@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 import torch
 
+from placerec.errors import RecognizerError
 from placerec.networks import PlaceNetwork
-from placerec.networks.caffenet import CAFFENET
+from placerec.networks.alexnet import CAFFENET
 from placerec.networks.pretrained import load_pretrained
-from placerec.recognizer import RecognizerError
 
 CAFFES = {
     "conv1": (96, 55),

@@ -2,7 +2,7 @@
 import numpy as np
 import torch
 
-from placerec.networks.covariance import FAINT, POSITION_WEIGHT, Covariance
+from placerec.networks.pooling import FAINT, POSITION_WEIGHT, Covariance
 
 
 def _maps(seed=0, shape=(2, 3, 4, 5)):

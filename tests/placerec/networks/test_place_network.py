@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
+from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, PlaceNetwork, Preprocessing, Trunk
-from placerec.recognizer import RecognizerError
 
 PLAIN = Preprocessing(16, 12, (0.0, 0.0, 0.0), (255.0, 255.0, 255.0))
 TINY = Trunk("tiny", lambda: nn.Sequential(nn.Conv2d(3, 5, 3), nn.ReLU()), PLAIN, {"first": 1})

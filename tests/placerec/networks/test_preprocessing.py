@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 import torch
 
+from placerec.errors import RecognizerError
 from placerec.networks import Preprocessing
-from placerec.recognizer import RecognizerError
 
 RGB = Preprocessing(8, 6, (10.0, 20.0, 30.0), (1.0, 2.0, 5.0))
 

@@ -12,10 +12,10 @@ import pytest
 import torch
 from torch.nn import functional
 
+from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import download_pretrained, load_pretrained
-from placerec.recognizer import RecognizerError
-from placerec.weights_file import save_weights
+from placerec.networks.weights_file import save_weights
 
 SMALL = (64, 64)
 ROOT = Path(__file__).parents[3]

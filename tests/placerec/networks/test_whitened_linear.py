@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import torch
 
-from placerec.networks.whitened_linear import WhitenedLinear
+from placerec.networks.pooling import WhitenedLinear
 
 
 def test_sees_its_input_centred_and_whitened():

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from slam.datasets import write_camera
-from slam.datasets.drive import drive
-from slam.datasets.rooms.room import Room, build_room, render
-from slam.se3 import to_quaternion
+from slam.demo.drive import drive
+from slam.demo.room import Room, build_room, render
+from slam.geometry.se3 import to_quaternion
 from slam.types import Camera, FloatArray
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.5, 11.5, depth_scale=5000.0)

@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam.datasets.association import associate, smallest_gap_s
+from slam.datasets.tum import associate, smallest_gap_s
 
 # Whole milliseconds: sums and differences stay exact, so "as close as" has one meaning.
 stamps = st.lists(st.integers(0, 400), min_size=1, max_size=7, unique=True).map(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from placerec.user_cache import cache_folder
+from placerec.files import cache_folder
 from slam.datasets import download, resolve, transfer
 from slam.types import SlamError
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from placerec.gradients import GradientRecognizer
+from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import EvaluationConfig, InputConfig
 from slam.datasets import open_sequence, write_camera
 from slam.datasets.formats import FORMATS, find_format
-from slam.drift import trajectory_error
+from slam.evaluation.drift import trajectory_error
 from slam.system import Slam
 from slam.types import SlamError, Trajectory
 

@@ -11,7 +11,7 @@ import pytest
 
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
-from slam.datasets.rooms.room import Room, render
+from slam.demo.room import Room, render
 from slam.types import Camera, SlamError
 
 Export = Callable[[str, Any], Path]

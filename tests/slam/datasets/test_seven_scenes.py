@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from slam import se3
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
-from slam.datasets.rooms.room import Room, render
 from slam.datasets.seven_scenes import KINECT
+from slam.demo.room import Room, render
+from slam.geometry import se3
 from slam.types import SlamError
 
 Export = Callable[[str, Any], Path]

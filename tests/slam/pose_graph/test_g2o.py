@@ -5,7 +5,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam import se3
+from slam.geometry import se3
 from slam.pose_graph import read_g2o, write_g2o
 from slam.types import Link, RelativePose, SlamError
 

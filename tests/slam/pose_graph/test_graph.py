@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from slam import se3
 from slam.config import GraphConfig
+from slam.geometry import se3
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.pose_graph.robust import solve_robustly
 from slam.types import FloatArray, Link, RelativePose, SlamError

@@ -6,9 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.pose_graph.agreement import contested_motions, doubts
 from slam.pose_graph.batch import factor_errors, optimize, pose_at
-from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, solve_robustly
+from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, contested_motions, doubts, solve_robustly
 from slam.types import MIN_TRUSTED_WEIGHT
 
 LAP = 20

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recognizer whose every answer is checked, and how its embeddings are compared."""
+
+from typing import NoReturn, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.errors import RecognizerError
+from placerec.recognizer import PlaceRecognizer, cause_of, with_members
+
+Embeddings = NDArray[np.float32]
+Similarities = NDArray[np.float32]
+
+MAX_LENGTH_ERROR = 1e-3
+LOOKS_BACK = 32
+MAX_BEYOND_ONE = 1e-3
+"""Rounding may take a similarity so far out of -1 to 1; it is brought back."""
+
+
+class Comparer(Protocol):
+    """Compares embeddings.
+
+    Attributes:
+        looks_back: the rows of queries before the one in question that matter to its answer.
+    """
+
+    looks_back: int
+
+    def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
+        """Return (Q, R) float32 similarities, -1 to 1, of (Q, *S) queries and (R, *S) references.
+
+        Both are in the order in which they were seen.
+        """
+        ...
+
+
+class Cosines:
+    """Compares (D,) embeddings of unit length by their cosine, each pair on its own."""
+
+    looks_back = 0
+
+    def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
+        """Return the (Q, R) float32 cosines of (Q, D) queries and (R, D) references."""
+        # Not `@`: BLAS adds up a pair in an order that depends on where it stands and on the
+        # number of cores, and two equal places would differ in the last bit instead of tying.
+        products = np.einsum("qd,rd->qr", queries, references)
+        similarities: Similarities = np.clip(products, -1.0, 1.0)
+        return similarities
+
+
+COSINES = Cosines()
+
+
+def flaw_in(answer: object, shape: tuple[int, int]) -> str | None:
+    """Return what is wrong with an answer that should be similarities of a shape, None if nothing.
+
+    Args:
+        answer: whatever a recognizer returned.
+        shape: (Q, R).
+    """
+    try:
+        values = np.asarray(answer, dtype=np.float64)
+    except Exception:  # whatever the answer's own kind raises
+        return f"a {type(answer).__name__} that is not an array of numbers"
+    if values.shape != shape:
+        return f"similarities of shape {values.shape}, not (queries, references) = {shape}"
+    if not np.isfinite(values).all():
+        count = np.count_nonzero(~np.isfinite(values))
+        return f"{count} of {values.size} similarities that are NaN or infinite"
+    outside = values[np.abs(values) > 1.0 + MAX_BEYOND_ONE]
+    if outside.size:
+        worst = outside[np.abs(outside).argmax()]
+        return f"a similarity of {worst:.6g}; it must lie from -1 to 1"
+    return None
+
+
+class CheckedRecognizer:
+    """A recognizer whose every answer is checked, so that its callers need not doubt it.
+
+    It always has `compare`: by cosine, unless the recognizer has its own.
+
+    Attributes:
+        min_similarity: similarity from which a match is worth verifying, finite, -1 to 1.
+        looks_back: how many queries before the one in question matter to its similarities.
+    """
+
+    min_similarity: float
+    looks_back: int
+
+    def __init__(self, recognizer: PlaceRecognizer, name: str | None = None) -> None:
+        """Wrap a recognizer; the name is what errors call it, by default its class's.
+
+        Raises:
+            RecognizerError: a member is missing or is not what it must be.
+        """
+        self._title = f"recognizer {name or type(recognizer).__name__!r}"
+        self._recognizer = with_members(recognizer, self._title)
+        self._comparer = self._own_comparer() or COSINES
+        self._shape: tuple[int, ...] | None = None
+        self.min_similarity = self._checked_threshold(recognizer.min_similarity)
+        self.looks_back = self._checked_looks_back()
+
+    def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the float32 embedding of a (H, W, 3) uint8 RGB image.
+
+        It is (D,) and of unit length; of another shape only if the recognizer compares its own.
+
+        Raises:
+            RecognizerError: the recognizer failed, or its answer is not finite, not of the shape
+                as before, or not the unit vector that it must be.
+        """
+        try:
+            answer = self._recognizer.embed(image)
+        except Exception as error:
+            raise RecognizerError(f"{self._title} failed: {cause_of(error)}") from error
+        values = self._array(answer)
+        return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
+
+    def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
+        """Return the (Q, R) float32 similarities, -1 to 1, of (Q, *S) and (R, *S) embeddings.
+
+        Both are in the order in which they were seen.
+
+        Raises:
+            RecognizerError: the recognizer failed, or its answer is no such similarities.
+        """
+        try:
+            answer = self._comparer.compare(queries, references)
+        except Exception as error:
+            raise RecognizerError(f"{self._title} failed to compare: {cause_of(error)}") from error
+        if flaw := flaw_in(answer, (len(queries), len(references))):
+            self._refuse(flaw)
+        return np.clip(np.asarray(answer, np.float32), -1.0, 1.0)
+
+    def _array(self, answer: object) -> NDArray[np.float64]:
+        try:
+            values = np.asarray(answer, dtype=np.float64)
+        except Exception as error:
+            self._refuse(f"a {type(answer).__name__} that is not an array of numbers", error)
+        if values.size == 0 or values.ndim == 0 or (values.ndim > 1 and self._comparer is COSINES):
+            self._refuse(f"an array of shape {values.shape}; embed must return shape (D,)")
+        if not np.isfinite(values).all():
+            count = np.count_nonzero(~np.isfinite(values))
+            self._refuse(f"{count} of {values.size} values that are NaN or infinite")
+        if self._shape not in (None, values.shape):
+            self._refuse(f"an array of shape {values.shape} after {self._shape} for earlier images")
+        self._shape = values.shape
+        return values
+
+    def _unit_vector(self, vector: NDArray[np.float64]) -> NDArray[np.float32]:
+        length = float(np.linalg.norm(vector))
+        if not abs(length - 1.0) <= MAX_LENGTH_ERROR:
+            self._refuse(f"a vector of length {length:.6g}; divide it by its length")
+        return (vector / length).astype(np.float32)
+
+    def _checked_threshold(self, value: object) -> float:
+        try:
+            threshold = float(cast(float, value))
+        except (TypeError, ValueError):
+            threshold = np.nan
+        if not -1.0 <= threshold <= 1.0:
+            raise RecognizerError(
+                f"{self._title} has min_similarity = {value!r}; it must lie from -1 to 1"
+            )
+        return threshold
+
+    def _own_comparer(self) -> Comparer | None:
+        own = getattr(self._recognizer, "compare", None)
+        if own is not None and not callable(own):
+            raise RecognizerError(f"{self._title} has a compare that is no method")
+        return None if own is None else cast(Comparer, self._recognizer)
+
+    def _checked_looks_back(self) -> int:
+        count: object = getattr(self._comparer, "looks_back", LOOKS_BACK)
+        if not isinstance(count, int) or count < 0:
+            raise RecognizerError(f"{self._title} has looks_back = {count!r}; it must be 0 or more")
+        return count
+
+    def _refuse(self, what: str, cause: Exception | None = None) -> NoReturn:
+        raise RecognizerError(f"{self._title} returned {what}") from cause

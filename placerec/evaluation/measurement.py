@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One recognizer on one dataset: what was measured, or why nothing was."""
+
+from dataclasses import dataclass
+from datetime import date
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.checked_recognizer import COSINES, CheckedRecognizer, Comparer, Embeddings
+from placerec.datasets import PlaceDataset
+from placerec.errors import RecognizerError
+from placerec.evaluation.bootstrap import Intervals, bootstrap
+from placerec.evaluation.embeddings import EmbeddingCache, Progress, embed_dataset, fingerprint_of
+from placerec.evaluation.precision_recall import Evaluation, evaluate
+from placerec.recognizer import PlaceRecognizer
+
+BATCH = 10_000
+MAX_BATCH_BYTES = 256 * 2**20
+"""Fewer are compared at a time where they would take up more than this."""
+REPEATS = 30
+ENOUGH_S = 1.0
+"""No more tries after so long."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one image costs.
+
+    Attributes:
+        embed_ms: median time to embed it.
+        compare_ms: time to compare it with one other, in a batch of 10,000 (long ones fewer), as
+            a map that is being made does it, the recognizer's look back included; the least of
+            several tries, because one that took longer has waited for other work of the machine.
+        dimension: how many values an embedding has.
+        embedding_bytes: what they take up in memory.
+    """
+
+    embed_ms: float
+    compare_ms: float
+    dimension: int
+    embedding_bytes: int
+
+
+def measure_cost(
+    embeddings: Embeddings, embed_s: NDArray[np.float64], comparer: Comparer = COSINES
+) -> Cost:
+    """Return the cost of the recognizer that made (N, *S) embeddings in (N,) seconds each.
+
+    Raises:
+        RecognizerError: the embeddings cannot be compared.
+    """
+    return Cost(
+        embed_ms=1e3 * float(np.median(embed_s)),
+        compare_ms=_compare_ms(embeddings[0], comparer),
+        dimension=embeddings[0].size,
+        embedding_bytes=embeddings[0].nbytes,
+    )
+
+
+def _compare_ms(embedding: Embeddings, comparer: Comparer) -> float:
+    count = max(1, min(BATCH, MAX_BATCH_BYTES // embedding.nbytes))
+    batch = np.repeat(embedding[None], count, axis=0)
+    queries = np.repeat(embedding[None], 1 + comparer.looks_back, axis=0)
+    seconds: list[float] = []
+    while len(seconds) < REPEATS and sum(seconds) < ENOUGH_S:
+        start = perf_counter()
+        comparer.compare(queries, batch)
+        seconds.append(perf_counter() - start)
+    return 1e3 * min(seconds) / count
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A recognizer on a dataset.
+
+    Attributes:
+        dataset: what it was measured on.
+        recognizer: the name it was loaded by.
+        weights: what the recognizer says that it runs on, "" where it says nothing.
+        trained_on: those parts of the dataset's name that the recognizer says it was trained on.
+        evaluation: how well it tells places apart.
+        intervals: how far that would move with other images.
+        cost: what it takes.
+        timed_on: the day the oldest embedding was timed on, None where that was in this run.
+    """
+
+    dataset: PlaceDataset
+    recognizer: str
+    weights: str
+    trained_on: tuple[str, ...]
+    evaluation: Evaluation
+    intervals: Intervals
+    cost: Cost
+    timed_on: date | None
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A recognizer of which nothing could be measured on a dataset, and why, in one line."""
+
+    dataset: PlaceDataset
+    recognizer: str
+    why: str
+
+
+Measurement = Measured | Failed
+
+
+def measure(
+    name: str,
+    recognizer: PlaceRecognizer,
+    dataset: PlaceDataset,
+    *,
+    use_cache: bool = True,
+    progress: Progress | None = None,
+) -> Measurement:
+    """Return what a recognizer does on a dataset; whatever goes wrong with it is the answer.
+
+    Args:
+        name: what the recognizer was loaded by.
+        recognizer: any; optional members of it are `fingerprint: str`, which its kept embeddings
+            are known by, `weights: str`, a line about what it runs on, and
+            `trained_on: tuple[str, ...]`, names of datasets.
+        dataset: images, and the truth about them.
+        use_cache: look embeddings up that were kept, and keep them.
+        progress: told of every image that is done.
+    """
+    try:
+        has_cache = use_cache and fingerprint_of(recognizer) is not None
+        cache = EmbeddingCache(recognizer) if has_cache else None
+        embedded = embed_dataset(recognizer, dataset, cache, progress)
+        comparer = CheckedRecognizer(recognizer, name)
+        found = evaluate(dataset, embedded.embeddings, comparer)
+        return Measured(
+            dataset=dataset,
+            recognizer=name,
+            weights=_weights(recognizer),
+            trained_on=_trained_on(recognizer, dataset),
+            evaluation=found,
+            intervals=bootstrap(found, dataset),
+            cost=measure_cost(embedded.embeddings, embedded.seconds, comparer),
+            timed_on=embedded.oldest,
+        )
+    except RecognizerError as error:
+        return Failed(dataset, name, str(error))
+    except Exception as error:  # hours of work on others are not to be lost to one
+        return Failed(dataset, name, " ".join(f"{type(error).__name__}: {error}".split()))
+
+
+def _weights(recognizer: PlaceRecognizer) -> str:
+    weights = getattr(recognizer, "weights", "")
+    return weights if isinstance(weights, str) else ""
+
+
+def _trained_on(recognizer: PlaceRecognizer, dataset: PlaceDataset) -> tuple[str, ...]:
+    trained_on = set(getattr(recognizer, "trained_on", ()))
+    return tuple(part for part in dataset.name.split("+") if part in trained_on)

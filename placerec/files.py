@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Output files that are either complete or not there at all."""
+
+import os
+from pathlib import Path
+
+from placerec.errors import LoopcloseError
+
+
+def cache_folder() -> Path:
+    """Return the folder of both commands: loopclose under $XDG_CACHE_HOME or ~/.cache."""
+    root = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(root) if Path(root).is_absolute() else Path.home() / ".cache") / "loopclose"
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """Write a whole file (text as UTF-8), leaving an earlier one untouched until it is complete.
+
+    Raises:
+        LoopcloseError: the folder is missing or not writable, the disk is full, or the like.
+    """
+    content = data.encode("utf-8") if isinstance(data, str) else data
+    # In the same folder, because a file can only be replaced atomically within one disk.
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            with partial.open("wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())  # a full disk may only show up here
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise LoopcloseError(
+            f"cannot write {path.name}: {error.strerror}; "
+            f"free the space, allow writing or choose another folder: {path}"
+        ) from error

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fully connected layer that starts where it already works: at principal components."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from placerec.networks.place_network import PlaceNetwork
+from placerec.networks.pooling import WhitenedLinear
+
+EVENNESS = 0.01
+"""Share of the mean variance that is added to each: directions that hardly vary stay weak."""
+COMPONENTS = 768
+"""Directions kept at most, or as many as an embedding has values."""
+
+
+def whiten(network: PlaceNetwork, values: Tensor, seed: int = 0) -> None:
+    """Set a network's fully connected layer to a whitened one that starts as the identity.
+
+    Embeddings then start as the principal components of the maps, strongest first, each as strong
+    as the others: whitened principal component analysis, which tells places apart well already.
+    Where an embedding has more values than there are components, the rest are random mixtures.
+
+    Args:
+        network: what to change; `merge` makes one matrix of the layer again.
+        values: (n, F) float32, flattened maps of n training images (`PlaceNetwork.flatten`).
+        seed: what the mixtures come from.
+    """
+    mean = values.double().mean(dim=0)
+    directions, variances = principal_components(
+        values.double() - mean, max(COMPONENTS, network.dimension)
+    )
+    strength = (variances + EVENNESS * variances.mean().clamp(min=torch.finfo().tiny)).rsqrt()
+    layer = WhitenedLinear(values.shape[1], len(directions), network.dimension)
+    with torch.no_grad():
+        layer.whitening.copy_(strength[:, None] * directions)
+        layer.mean.copy_(mean)
+        layer.weight.copy_(torch.eye(*layer.weight.shape))
+        surplus = layer.weight[len(directions) :]
+        random = torch.Generator().manual_seed(seed)
+        surplus.copy_(torch.randn(surplus.shape, generator=random) / len(directions) ** 0.5)
+    network.fully_connected = layer.to(values.device)
+
+
+def merge(network: PlaceNetwork) -> None:
+    """Make one matrix of a network's fully connected layer; nothing changes where it is one."""
+    if isinstance(network.fully_connected, WhitenedLinear):
+        device = network.fully_connected.weight.device
+        network.fully_connected = network.fully_connected.merged().to(device)
+
+
+def principal_components(centred: Tensor, at_most: int) -> tuple[Tensor, Tensor]:
+    """Return (r, F) orthonormal directions of (n, F) centred values, and their (r,) variances.
+
+    The strongest come first.
+    """
+    # By the smaller of the two products.
+    is_wide = centred.shape[1] > len(centred)
+    product = centred @ centred.T if is_wide else centred.T @ centred
+    squares, vectors = torch.linalg.eigh(product)
+    kept = slice(-min(at_most, len(squares)), None)
+    squares, vectors = squares[kept].flip(0).clamp(min=0.0), vectors[:, kept].flip(1)
+    rows = (centred.T @ vectors).T if is_wide else vectors.T
+    return functional.normalize(rows), squares / len(centred)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A trained network as a place recognizer."""
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from placerec.certificate import (
+    Certificate,
+    certificate_path,
+    read_certificate,
+    write_certificate,
+)
+from placerec.errors import RecognizerError
+from placerec.networks import TRUNKS, Trunk
+from placerec.networks.preprocessing import one_thread
+from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
+
+DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "default.safetensors"
+TRAINED_ON = ("ie_tower:train",)
+"""Of what is measured on, what the default weights have seen: see their model card."""
+FRAMES_PER_PASS = 32
+
+
+class LearnedRecognizer:
+    """A network trained with the multi-constraint loss; on the CPU, and safe to use by threads.
+
+    Attributes:
+        network: the trained network.
+        min_similarity: cosine from which a match is worth verifying, stored with the weights.
+        weights: which ones these are, in a line.
+        trained_on: names of datasets, as far as known: of the default weights.
+    """
+
+    min_similarity: float
+    weights: str
+    trained_on: tuple[str, ...]
+
+    def __init__(
+        self, path: Path = DEFAULT_WEIGHTS, trunks: Iterable[Trunk] = tuple(TRUNKS.values())
+    ) -> None:
+        """Read the weights; the trunks are those they may be made with, one's own included.
+
+        Raises:
+            RecognizerError: the weights cannot be read, are damaged, or do not fit.
+        """
+        if path == DEFAULT_WEIGHTS and not path.exists():
+            raise RecognizerError(
+                "no trained weights are installed; name a file made by `placerec train`, or "
+                f"another recognizer: {path}"
+            )
+        self.network, self.min_similarity = load_weights(path, trunks)
+        self._path = path
+        own = path == DEFAULT_WEIGHTS
+        title = "those of the package" if own else path.name
+        self.weights = f"{self.network.title}, trained for places: {title}"
+        self.trained_on = TRAINED_ON if own else ()
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What a certificate knows the weights by; it does not depend on min_similarity."""
+        return hash_network(self.network)
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the weights.
+
+        Raises:
+            RecognizerError: it cannot be read, or is of other weights.
+        """
+        path = certificate_path(self._path)
+        if not path.exists():
+            return None
+        certificate = read_certificate(path)
+        if certificate.fingerprint != self.fingerprint:
+            raise RecognizerError(
+                f"the certificate is of other weights than {self._path.name}; calibrate these "
+                f"with `placerec calibrate`, or remove it: {path}"
+            )
+        return certificate
+
+    def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the (D,) float32 unit-length embedding of an image of any size.
+
+        Args:
+            image: uint8, (H, W, 3) RGB; grey (H, W) and (H, W, 4) with alpha are taken too.
+
+        Raises:
+            RecognizerError: it is no such image.
+        """
+        with one_thread(), torch.inference_mode():
+            embedding: NDArray[np.float32] = self.network(self.network.prepare([image]))[0].numpy()
+        return embedding
+
+    def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        """Return the (N, D) float32 embeddings of N images, several to a forward pass."""
+        passes = [images[i : i + FRAMES_PER_PASS] for i in range(0, len(images), FRAMES_PER_PASS)]
+        with torch.inference_mode():
+            rows = [self.network(self.network.prepare(frames)).numpy() for frames in passes]
+        empty = np.empty((0, self.network.dimension), np.float32)
+        embeddings: NDArray[np.float32] = np.concatenate([empty, *rows])
+        return embeddings
+
+    def embed_place(self, frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        """Return the (D,) float32 unit-length embedding of a place seen in consecutive frames.
+
+        It is the centre of the frames' embeddings (eq. 3), put back on the unit sphere.
+
+        Raises:
+            RecognizerError: there are no frames.
+        """
+        if len(frames) == 0:
+            raise RecognizerError("a place needs at least 1 frame to be described by, not 0")
+        centre = self.embed_many(frames).mean(axis=0)
+        embedding: NDArray[np.float32] = centre / np.linalg.norm(centre)
+        return embedding
+
+
+def keep_calibration(weights: Path, certificate: Certificate) -> Path:
+    """Give weights the threshold that they were calibrated to, and return the certificate's path.
+
+    Raises:
+        RecognizerError: the weights cannot be read, or one of the files cannot be written.
+    """
+    path = certificate_path(weights)
+    # The evidence first: without the rest it is still true, and shows that the rest is missing.
+    write_certificate(certificate, path)
+    set_min_similarity(weights, certificate.min_similarity)
+    return path
+
+
+TRIPLET_WEIGHTS = Path(__file__).parents[1] / "weights" / "triplet.safetensors"
+
+
+class Triplet(LearnedRecognizer):
+    """The default network, trained with eq. 2 on the same images for as many steps.
+
+    Attributes:
+        min_similarity: cosine from which a match is worth verifying, stored with the weights.
+    """
+
+    def __init__(self, path: Path = TRIPLET_WEIGHTS) -> None:
+        """Read the weights.
+
+        Raises:
+            RecognizerError: they are missing, are damaged, or do not fit.
+        """
+        if not path.exists():
+            raise RecognizerError(
+                "the default network's twin is not installed; make it with `python"
+                f" benchmarks/train_default.py --loss triplet --ship`: {path}"
+            )
+        super().__init__(path)
+        self.weights = f"{self.network.title}, trained as the default but with the triplet loss"
+        self.trained_on = TRAINED_ON

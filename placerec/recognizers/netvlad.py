@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NetVLAD: residuals to 64 words, softly assigned, whitened (Arandjelovic et al. 2016)."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from placerec.certificate import Certificate, certificate_beside
+from placerec.errors import RecognizerError
+from placerec.networks import TRUNKS
+from placerec.networks.pooling import Vlad
+from placerec.networks.preprocessing import one_thread
+from placerec.networks.pretrained import read_weights
+from placerec.networks.vgg16 import VGG16
+from placerec.networks.whitening import EVENNESS, principal_components
+from placerec.recognizers.feature_maps import (
+    FeatureMaps,
+    Layer,
+    facts_of,
+    find_fitted_maps,
+    find_maps,
+)
+from placerec.recognizers.fitted_file import Fitted, read_fitted, shipped
+
+NAME = "netvlad"
+SHIPPED = shipped(NAME)
+PUBLISHED = Layer(
+    # The last convolution before its ReLU, in files named ...netvlad... of the layout that PyTorch
+    # implementations share: encoder.N, pool.conv, pool.centroids and, in some, WPCA.0.
+    replace(
+        VGG16,
+        name=NAME,
+        blocks={"conv5_3": VGG16.blocks["conv5_3"] - 1},
+        name_in_file="encoder.{}".format,
+    ),
+    "conv5_3",
+    (640, 480),
+)
+STAND_IN = Layer(TRUNKS["squeezenet"], "fire5", (227, 227))
+WORDS = 64
+LOCAL_VALUES, VALUES, MOST_VALUES = 16, 448, 4096
+"""Of the stand-in's local features and its embedding, as many as make a small file, by average
+precision on the validation floors of ie_tower; and of an embedding with published weights."""
+WORDS_FROM, WHITENED_FROM = 300, 4096
+"""Images, spread evenly, that words and whitening are found with."""
+
+
+class NetVlad:
+    """A network's local features, told by how they differ from words; the cosine compares.
+
+    Runs on published weights, a file with netvlad in its name, where these are on the machine, and
+    else on a trunk that was trained on ImageNet with words found by k-means; `weights` says which.
+
+    Attributes:
+        min_similarity: of the words; 1 % of the pairs of images of different validation floors of
+            ie_tower are as similar with the shipped ones.
+    """
+
+    min_similarity: float = 0.5
+
+    def __init__(self, path: Path | None = None) -> None:
+        """Read what was fitted, by default with nothing but the published weights, or shipped.
+
+        Raises:
+            RecognizerError: what is needed is missing, or does not fit.
+        """
+        published = PUBLISHED.find() if path is None else None
+        self._path = None if published else path or SHIPPED
+        fitted = read_fitted(self._path, NAME) if self._path else Fitted({})
+        if published:
+            self._maps = FeatureMaps(PUBLISHED, published)
+        else:
+            self._maps = find_fitted_maps(NAME, fitted, [PUBLISHED, STAND_IN])
+            self.min_similarity = fitted.min_similarity
+        self.trained_on = fitted.trained_on
+        arrays = {name: torch.from_numpy(array).float() for name, array in fitted.arrays.items()}
+        in_file = _published_head() if self._maps.title == PUBLISHED.title else {}
+        self._head = _Head({**in_file, **arrays}).eval()
+        self.fingerprint = f"{self._maps.fingerprint} {fitted.fingerprint}"
+        self.weights = self._maps.weights + _how_fitted(fitted, bool(in_file), self._head)
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the file."""
+        return certificate_beside(self._path) if self._path else None
+
+    @classmethod
+    def fit(cls, images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Fitted:
+        """Return the whitening of images; without published weights, words found in them, too.
+
+        Raises:
+            RecognizerError: there are too few images, or no weights.
+        """
+        maps = find_maps([PUBLISHED, STAND_IN])
+        is_published = maps.title == PUBLISHED.title
+        with torch.inference_mode():
+            learned = {} if is_published else _find_words(maps, images, seed)
+            head = _Head({**_published_head(), **learned} if is_published else learned)
+            rows = torch.cat([head(each) for each in _some_maps(maps, images, WHITENED_FROM)])
+            values = MOST_VALUES if is_published else VALUES
+            learned |= whitening(rows, values)
+        arrays = {name: value.numpy() for name, value in learned.items()}
+        half = {"whitening.weight": arrays["whitening.weight"].astype(np.float16)}
+        return Fitted(arrays | half, facts_of(maps))
+
+    def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the (D,) float32 unit-length embedding of a uint8 RGB image of any size."""
+        maps = torch.from_numpy(self._maps(image))[None]
+        with one_thread(), torch.inference_mode():
+            embedding: NDArray[np.float32] = self._head(maps)[0].numpy()
+        return embedding
+
+
+class _Head(nn.Module):
+    """From maps to an embedding; what the state lacks is left out."""
+
+    def __init__(self, state: Mapping[str, Tensor]) -> None:
+        super().__init__()
+        words, channels = state["vlad.centroids"].shape
+        self.vlad = Vlad(words, channels)
+        self.local: nn.Module = nn.Identity()
+        self.whitening: nn.Module = nn.Identity()
+        if "local.weight" in state:
+            values, channels = state["local.weight"].shape[:2]
+            self.local = nn.Conv2d(channels, values, kernel_size=1)
+        if "whitening.weight" in state:
+            values, features = state["whitening.weight"].shape
+            self.whitening = nn.Linear(features, values)
+        try:
+            self.load_state_dict(state)
+        except RuntimeError as error:
+            what = " ".join(str(error).split())
+            raise RecognizerError(f"what was fitted is of no NetVLAD layer: {what}") from error
+
+    def forward(self, maps: Tensor) -> Tensor:
+        vectors = self.vlad(self.local(functional.normalize(maps, dim=1)))
+        return functional.normalize(self.whitening(vectors))
+
+
+def _published_head() -> dict[str, Tensor]:
+    path = PUBLISHED.find()
+    in_file = read_weights(path) if path else {}
+    try:
+        conv, centroids = in_file["pool.conv.weight"], in_file["pool.centroids"]
+    except KeyError as error:
+        raise RecognizerError(f"not weights of NetVLAD: there is no {error}: {path}") from error
+    bias = in_file.get("pool.conv.bias", torch.zeros(len(conv)))
+    head = {"vlad.conv.weight": conv, "vlad.conv.bias": bias, "vlad.centroids": centroids}
+    if "WPCA.0.weight" in in_file:
+        head["whitening.weight"] = in_file["WPCA.0.weight"].flatten(start_dim=1)
+        head["whitening.bias"] = in_file["WPCA.0.bias"]
+    return {name: value.float() for name, value in head.items()}
+
+
+def _some_maps(
+    maps: FeatureMaps, images: Sequence[NDArray[np.uint8]], at_most: int
+) -> Iterator[Tensor]:
+    """Yield the (1, C, h, w) maps of some images, spread evenly over all."""
+    for i in np.linspace(0, len(images) - 1, min(len(images), at_most)).astype(int):
+        yield torch.from_numpy(maps(images[int(i)]))[None]
+
+
+def _find_words(
+    maps: FeatureMaps, images: Sequence[NDArray[np.uint8]], seed: int
+) -> dict[str, Tensor]:
+    """Return the principal components of local features, and words of what these leave of them."""
+    features = [
+        functional.normalize(each, dim=1)[0].flatten(start_dim=1).T
+        for each in _some_maps(maps, images, WORDS_FROM)
+    ]
+    local = torch.cat(features)
+    mean = local.mean(dim=0)
+    directions, _ = principal_components(local - mean, LOCAL_VALUES)
+    vlad = Vlad(WORDS, len(directions))
+    vlad.start((local - mean) @ directions.T, seed)
+    found = {f"vlad.{name}": value for name, value in vlad.state_dict().items()}
+    return {
+        **found,
+        "local.weight": directions[:, :, None, None],
+        "local.bias": -directions @ mean,
+    }
+
+
+def whitening(rows: Tensor, at_most: int) -> dict[str, Tensor]:
+    """Return a layer that makes (n, F) rows vary alike in their at most so many directions."""
+    centred = rows.double() - rows.double().mean(dim=0)
+    # As many directions as images, less one, vary at all.
+    directions, variances = principal_components(centred, min(at_most, max(1, len(rows) - 1)))
+    strength = (variances + EVENNESS * variances.mean()).rsqrt()
+    weight = strength[:, None] * directions
+    return {
+        "whitening.weight": weight.float(),
+        "whitening.bias": (-weight @ rows.double().mean(dim=0)).float(),
+    }
+
+
+def _how_fitted(fitted: Fitted, is_published: bool, head: _Head) -> str:
+    if not is_published:
+        return f" in place of NetVLAD's; {WORDS} words and whitening of {fitted.source}"
+    if fitted.arrays:
+        return f"; whitening of {fitted.source}"
+    return "" if isinstance(head.whitening, nn.Linear) else "; not whitened"

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All that a training needs to go on as if it had never been stopped."""
+
+import hashlib
+import io
+import json
+import warnings
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from placerec.errors import RecognizerError
+from placerec.files import write_atomically
+from placerec.networks import PlaceNetwork
+from placerec.training.config import TrainingConfig
+from placerec.training.images import PlaceImages
+
+MAY_CHANGE = frozenset(
+    {"max_steps", "max_seconds", "checkpoint_interval_s", "learning_rate", "trunk_learning_rate"}
+)
+"""Settings that a resumed training need not share with its beginning."""
+DIGITS = 12
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The state of a training between two steps.
+
+    All random numbers follow from the seed and these counts, so no generator needs to be kept.
+
+    Attributes:
+        settings: the training's settings and data, by name; it goes on only with the same.
+        network: the network's state dict.
+        optimizer: the optimizer's state dict.
+        positives, negatives: (S, A) and (S, B) int64, the present round's image sets.
+        used: how many of these were learned from already.
+        round: how often sets were built.
+        step: how many steps were made.
+        elapsed_s: time spent so far.
+    """
+
+    settings: dict[str, str]
+    network: dict[str, Tensor]
+    optimizer: dict[str, Any]
+    positives: Tensor
+    negatives: Tensor
+    used: int
+    round: int
+    step: int
+    elapsed_s: float
+
+
+def settings_of(
+    config: TrainingConfig, network: PlaceNetwork, images: PlaceImages
+) -> dict[str, str]:
+    """Return what a training must share with the checkpoint it goes on from, by name.
+
+    Args:
+        config: how it learns.
+        network: as it is before the first step.
+        images: what it learns from.
+    """
+    size, last = network.preprocessing, type(network.fully_connected)
+    labels = np.ascontiguousarray(images.places, np.int64).tobytes()
+    count = len(images.scenes)
+    collections = len(np.unique(images.collections))
+    described = config.model_dump(mode="json", exclude=set(MAY_CHANGE))
+    return {name: json.dumps(value) for name, value in described.items()} | {
+        "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
+        f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
+        f"covariance {network.covariance}, words {network.words}",
+        "last layer": "random at first" if last is nn.Linear else "whitened at first",
+        "images": f"{count} with labels {hashlib.sha256(labels).hexdigest()[:DIGITS]}"
+        + (f" in {collections} collections" if collections > 1 else ""),
+    }
+
+
+def write_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
+    """Write a checkpoint, leaving the last one untouched until it is complete.
+
+    Raises:
+        RecognizerError: it cannot be written.
+    """
+    buffer = io.BytesIO()
+    torch.save(
+        {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}, buffer
+    )
+    write_atomically(path, buffer.getvalue())
+
+
+def read_checkpoint(path: Path, settings: dict[str, str]) -> Checkpoint:
+    """Read the checkpoint of a training with these settings.
+
+    Raises:
+        RecognizerError: it cannot be read, is damaged, or is of a training with other settings.
+    """
+    try:
+        content = io.BytesIO(path.read_bytes())
+    except OSError as error:
+        raise RecognizerError(f"cannot read the checkpoint: {error.strerror}: {path}") from error
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of torch, about files that are refused
+            loaded = torch.load(content, map_location="cpu", weights_only=True)
+        checkpoint = Checkpoint(**loaded)
+    except Exception as error:  # torch raises many kinds for a damaged file
+        raise RecognizerError(
+            f"the checkpoint is damaged; remove it to start anew: {path}"
+        ) from error
+    for name in sorted(settings.keys() | checkpoint.settings.keys()):
+        now, then = settings.get(name, "unset"), checkpoint.settings.get(name, "unset")
+        if now != then:
+            raise RecognizerError(
+                f"the checkpoint is of another training: its {name} is {then}, not {now}; "
+                f"use the same or another folder: {path}"
+            )
+    return checkpoint

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories: TUM files, association in time, and alignment in space."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.files import write_atomically
+from slam.geometry import se3
+from slam.types import FloatArray, SlamError, Trajectory
+
+IntArray = NDArray[np.int64]
+
+_COLUMNS = "timestamp tx ty tz qx qy qz qw"
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a trajectory in the TUM format: a pose per line, `#` starts a comment line.
+
+    Raises:
+        SlamError: the file cannot be read, holds no pose, or a line is not a pose later than the
+            one before; the message names the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise SlamError(f"cannot read the trajectory: {error.strerror}: {path}") from error
+    except UnicodeDecodeError as error:
+        raise SlamError(f"the trajectory is not a text file: {path}") from error
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            rows.append(_parse_pose(line, earlier_s=rows[-1][0] if rows else -np.inf))
+        except ValueError as error:
+            raise SlamError(f"line {number} of the trajectory: {error}: {path}") from error
+    if not rows:
+        raise SlamError(f"the trajectory holds no poses; expected lines of `{_COLUMNS}`: {path}")
+    return _from_rows(np.array(rows))
+
+
+def _parse_pose(line: str, earlier_s: float) -> list[float]:
+    words = line.replace(",", " ").split()
+    if len(words) != 8:
+        raise ValueError(f"{len(words)} values where 8 are expected, `{_COLUMNS}`")
+    values = [float(word) for word in words]
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"{line.strip()!r} holds a value that is not finite; remove the line")
+    if np.linalg.norm(values[4:]) < 1e-6:
+        raise ValueError("the quaternion qx qy qz qw has length 0, expected 1")
+    if values[0] <= earlier_s:
+        raise ValueError(
+            f"timestamp {values[0]:.6f} is not after the one before it, {earlier_s:.6f}; "
+            "sort the lines by time, one per timestamp"
+        )
+    return values
+
+
+def _from_rows(rows: FloatArray) -> Trajectory:
+    T_world_cam = np.tile(np.eye(4), (len(rows), 1, 1))
+    T_world_cam[:, :3, 3] = rows[:, 1:4]
+    T_world_cam[:, :3, :3] = se3.from_quaternion(rows[:, 4:])
+    return Trajectory(rows[:, 0], T_world_cam)
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory in the TUM format; the same poses always give the same bytes.
+
+    Raises:
+        SlamError: the file cannot be written.
+    """
+    lines = [f"# {_COLUMNS}"]
+    for timestamp_s, T_world_cam in zip(
+        trajectory.timestamps_s, trajectory.T_world_cam, strict=True
+    ):
+        quaternion = se3.to_quaternion(T_world_cam[:3, :3])
+        # Adding 0.0 turns a rounded -0.0 into 0.0.
+        values = np.round(np.concatenate([T_world_cam[:3, 3], quaternion]), 9) + 0.0
+        lines.append(" ".join([f"{timestamp_s:.6f}", *(f"{value:.9f}" for value in values)]))
+    write_atomically(path, "\n".join(lines) + "\n")
+
+
+def nearest(stamps_s: FloatArray, wanted_s: FloatArray) -> IntArray:
+    """Return, for each of (M,) times, the index of the nearest of (N,) increasing stamps, N > 0.
+
+    The earlier of two stamps that are equally near wins.
+    """
+    after = np.clip(np.searchsorted(stamps_s, wanted_s), 1, max(len(stamps_s) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(stamps_s) - 1)
+    is_after = np.abs(stamps_s[after] - wanted_s) < np.abs(wanted_s - stamps_s[before])
+    return np.where(is_after, after, before)
+
+
+def associate(a: Trajectory, b: Trajectory, tolerance_s: float) -> tuple[IntArray, IntArray]:
+    """Pair poses of two trajectories that are nearest in time, closest pairs first.
+
+    Returns:
+        (M,) indices into a, increasing, and (M,) into b: each pose is used once at most, and no
+        pair is further apart than the tolerance.
+    """
+    free_a = np.arange(len(a), dtype=np.int64)
+    free_b = np.arange(len(b), dtype=np.int64)
+    pairs: list[tuple[IntArray, IntArray]] = [(free_a[:0], free_b[:0])]
+    # Two poses that are nearest to each other are a pair that no closer one can break up; taking
+    # all of these at a time gives what taking the globally closest one by one would.
+    while len(free_a) and len(free_b):
+        stamps_a, stamps_b = a.timestamps_s[free_a], b.timestamps_s[free_b]
+        to_b = nearest(stamps_b, stamps_a)
+        is_pair = nearest(stamps_a, stamps_b)[to_b] == np.arange(len(free_a))
+        is_pair &= np.abs(stamps_a - stamps_b[to_b]) <= tolerance_s
+        if not is_pair.any():
+            break
+        pairs.append((free_a[is_pair], free_b[to_b[is_pair]]))
+        free_b = np.delete(free_b, to_b[is_pair])
+        free_a = free_a[~is_pair]
+    indices_a = np.concatenate([pair[0] for pair in pairs])
+    indices_b = np.concatenate([pair[1] for pair in pairs])
+    order = np.argsort(indices_a)
+    return indices_a[order], indices_b[order]
+
+
+def align(estimate_m: FloatArray, truth_m: FloatArray) -> FloatArray:
+    """Return T_truth_world, the (4, 4) rigid motion without scale that best lays points on points.
+
+    Horn's closed-form least squares between (N, 3) positions in metres. Fewer than three points,
+    or points on a line, leave a rotation free: any of the best ones is returned.
+
+    Raises:
+        SlamError: there is no point at all.
+    """
+    if len(estimate_m) == 0:
+        raise SlamError("cannot align two trajectories that have no pose in common")
+    centre_estimate, centre_truth = estimate_m.mean(axis=0), truth_m.mean(axis=0)
+    U, _, Vt = np.linalg.svd((truth_m - centre_truth).T @ (estimate_m - centre_estimate))
+    # The last sign keeps it a rotation where a reflection would fit better.
+    R_truth_world = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return se3.from_rotation_translation(
+        R_truth_world, centre_truth - R_truth_world @ centre_estimate
+    )
+
+
+def path_length_m(trajectory: Trajectory) -> float:
+    """Return the length of the straight lines between consecutive positions, metres."""
+    steps = np.diff(trajectory.T_world_cam[:, :3, 3], axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robust least squares for the rigid motion between two views with depth.
+
+Each match is measured twice: the reference's point as the query should see it, and the query's
+point as the reference should see it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.geometry import se3
+from slam.geometry.reprojection import Measurements, robust_weights
+from slam.types import Camera, Features, FloatArray
+
+_ROUNDS = 3  # each decides anew who agrees
+_STEPS = 4
+_SMALL_POSE_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class RefinedPose:
+    """A camera's pose and who agrees with it.
+
+    Attributes:
+        T_world_cam: (4, 4).
+        hessian: (6, 6) of the robust cost, for a tangent on the right of T_world_cam.
+        inlier_mask: (M,) bool.
+    """
+
+    T_world_cam: FloatArray
+    hessian: FloatArray
+    inlier_mask: NDArray[np.bool_]
+
+
+def refine_pose(
+    T_world_cam: FloatArray, points_m: FloatArray, measured: Measurements, camera: Camera
+) -> RefinedPose:
+    """Return the pose from which (M, 3) world points look most as they were measured.
+
+    A point counts in one round if it agreed after the one before; in the first all do.
+    """
+    inlier_mask = np.ones(len(points_m), dtype=bool)
+    for _ in range(_ROUNDS):
+        points, seen = points_m[inlier_mask], measured.select(inlier_mask)
+        for _ in range(_STEPS):
+            hessian, gradient = _pose_equations(T_world_cam, points, seen, camera)
+            step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
+            T_world_cam = T_world_cam @ se3.exp(step)
+            if np.abs(step).max() < _SMALL_POSE_STEP:
+                break
+        points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
+        inlier_mask = measured.agree(points_cam_m, camera)
+    return RefinedPose(T_world_cam, hessian, inlier_mask)
+
+
+def _pose_equations(
+    T_world_cam: FloatArray, points_m: FloatArray, measured: Measurements, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
+    residuals, by_point = measured.residuals(points_cam_m, camera)
+    # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
+    J = np.concatenate([by_point @ se3.skews(points_cam_m), -by_point], axis=2).reshape(-1, 6)
+    weighted_J = robust_weights(residuals).reshape(-1, 1) * J
+    # A trace of curvature keeps the step finite where few points leave a direction open.
+    hessian = weighted_J.T @ J + 1e-6 * np.eye(6)
+    return hessian, weighted_J.T @ residuals.ravel()
+
+
+_MAX_STEPS = 8
+_SMALL_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class _View:
+    """One direction: points of the other camera, and where this one saw them."""
+
+    points_other_m: FloatArray  # (M, 3), NaN where the other camera has no depth
+    measured: Measurements
+
+    @staticmethod
+    def of(
+        other: Features,
+        other_index: NDArray[np.int64],
+        this: Features,
+        this_index: NDArray[np.int64],
+        camera: Camera,
+    ) -> "_View":
+        measured = Measurements.of(this, this_index, camera)
+        return _View(other.points_m[other_index], measured)
+
+    def select(self, mask: NDArray[np.bool_]) -> "_View":
+        return _View(self.points_other_m[mask], self.measured.select(mask))
+
+    def residuals(
+        self, T_this_other: FloatArray, camera: Camera
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return whitened residuals (M, 3), their derivative (M, 3, 3) by the point, the points."""
+        points_m = se3.transform(T_this_other, self.points_other_m)
+        residuals, derivative = self.measured.residuals(points_m, camera)
+        return residuals, derivative, points_m
+
+
+@dataclass(frozen=True)
+class Correspondences:
+    """M matched features of two views."""
+
+    query_view: _View
+    reference_view: _View
+
+    @staticmethod
+    def of(
+        reference: Features, query: Features, pairs: NDArray[np.int64], camera: Camera
+    ) -> "Correspondences":
+        """Collect the measurements of (M, 2) index pairs (reference, query)."""
+        i, j = pairs.T
+        return Correspondences(
+            query_view=_View.of(reference, i, query, j, camera),
+            reference_view=_View.of(query, j, reference, i, camera),
+        )
+
+    def select(self, mask: NDArray[np.bool_]) -> "Correspondences":
+        """Keep the matches where the (M,) mask is true."""
+        return Correspondences(self.query_view.select(mask), self.reference_view.select(mask))
+
+
+def refine(
+    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    """Return the refined T_ref_query and the (6, 6) Hessian of the robust cost there.
+
+    The Hessian belongs to a tangent [rotation; translation] applied on the right of T_ref_query.
+    """
+    for _ in range(_MAX_STEPS):
+        hessian, gradient = _normal_equations(T_ref_query, correspondences, camera)
+        step: FloatArray = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
+        T_ref_query = T_ref_query @ se3.exp(step)
+        if np.linalg.norm(step) < _SMALL_STEP:
+            break
+    return T_ref_query, _normal_equations(T_ref_query, correspondences, camera)[0]
+
+
+def residual_lengths(
+    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+) -> FloatArray:
+    """Return (M,) lengths of the whitened pixel residuals in the query's image.
+
+    On the finest pyramid level one standard deviation is one pixel.
+    """
+    T_query_ref = se3.inverse(T_ref_query)
+    residuals, _, points_m = correspondences.query_view.residuals(T_query_ref, camera)
+    return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals[:, :2], axis=1), np.inf)
+
+
+def _normal_equations(
+    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    R_ref_query = T_ref_query[:3, :3]
+    T_query_ref = se3.inverse(T_ref_query)
+    query, reference = correspondences.query_view, correspondences.reference_view
+
+    # p_query = exp(-xi) T_query_ref p_ref, so d p_query = p_query x omega - v
+    residuals, by_point, points_m = query.residuals(T_query_ref, camera)
+    J = _chain(by_point, se3.skews(points_m), -np.eye(3))
+    hessian, gradient = _weighted(residuals, J)
+
+    # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
+    residuals, by_point, _ = reference.residuals(T_ref_query, camera)
+    J = _chain(by_point, -R_ref_query @ se3.skews(reference.points_other_m), R_ref_query)
+    more_hessian, more_gradient = _weighted(residuals, J)
+    # A trace of curvature keeps the step finite where few matches leave a direction open.
+    return hessian + more_hessian + 1e-6 * np.eye(6), gradient + more_gradient
+
+
+def _chain(by_point: FloatArray, by_omega: FloatArray, by_v: FloatArray) -> FloatArray:
+    known = np.where(np.isfinite(by_omega), by_omega, 0.0)
+    return np.concatenate([by_point @ known, by_point @ by_v], axis=2)
+
+
+def _weighted(residuals: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
+    flat_J = J.reshape(-1, 6)
+    weighted_J = robust_weights(residuals).reshape(-1, 1) * flat_J
+    return weighted_J.T @ flat_J, weighted_J.T @ residuals.ravel()

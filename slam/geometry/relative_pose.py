@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One estimator of the rigid motion between two views, for odometry and for loops alike."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import VerificationConfig
+from slam.geometry import se3
+from slam.geometry.features import match
+from slam.geometry.refinement import Correspondences, refine, residual_lengths
+from slam.types import (
+    Camera,
+    Features,
+    FloatArray,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    Verification,
+)
+
+_MIN_FOR_POSE = 6
+# What repeated views of one place disagree by however many features they share: depth distortion,
+# colour and depth taken at different instants, and, growing with the speed of the turn, the rolling
+# shutter. Measured on fr1_xyz (`python benchmarks/motion_noise.py fr1_xyz`) before its images were
+# straightened, so that it is too much by now; without it the graph would trust large sets of
+# inliers blindly.
+_ROTATION_FLOOR_RAD = 0.005
+_TRANSLATION_FLOOR_M = 0.006
+_ROTATION_PER_TURNING_S = 0.025
+_TRANSLATION_PER_TURNING_M_S = 0.025
+
+
+def estimate_relative_pose(
+    reference: Features, query: Features, camera: Camera, config: VerificationConfig
+) -> Verification:
+    """Return the motion `T_ref_query` between two views, or why there is none, with the evidence.
+
+    Descriptors propose matches, PnP RANSAC finds the motion most of them agree on, and a robust
+    least-squares refinement over both views' pixels and depths polishes it.
+    """
+    pairs = match(reference, query, config.max_descriptor_distance)
+    return measure_relative_pose(reference, query, pairs, camera, config)
+
+
+def measure_relative_pose(
+    reference: Features,
+    query: Features,
+    pairs: NDArray[np.int64],
+    camera: Camera,
+    config: VerificationConfig,
+) -> Verification:
+    """Return the same from (M, 2) index pairs of features that are already matched."""
+    pairs = pairs[np.isfinite(reference.depth_m[pairs[:, 0]])]
+    estimate = _estimate(reference, query, pairs, camera, config)
+    inlier_mask = np.zeros(len(pairs), dtype=bool)
+    if not isinstance(estimate, Rejection):
+        inlier_mask = estimate.inlier_mask
+    return Verification(
+        outcome=_judge(estimate, reference.pixels[pairs[:, 0]], camera, config),
+        pixels=np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]]),
+        inlier_mask=inlier_mask,
+    )
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """A motion and who agrees; the Hessian is zero where too few agree for a refinement."""
+
+    T_ref_query: FloatArray
+    hessian: FloatArray
+    inlier_mask: NDArray[np.bool_]
+
+
+def _estimate(
+    reference: Features,
+    query: Features,
+    pairs: NDArray[np.int64],
+    camera: Camera,
+    config: VerificationConfig,
+) -> _Estimate | Rejection:
+    needed = max(config.min_matches, _MIN_FOR_POSE)
+    if len(pairs) < needed:
+        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed)
+    points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
+    found = pose_by_ransac(points_m, pixels, camera, config)
+    if found is None:
+        return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers)
+    T_ref_query, inlier_mask = found
+    hessian = np.zeros((6, 6))
+    correspondences = Correspondences.of(reference, query, pairs, camera)
+    if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
+        # RANSAC's pose comes from four matches; a refined one knows better which others agree.
+        T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+        lengths = residual_lengths(T_ref_query, correspondences, camera)
+        inlier_mask = lengths < config.max_reprojection_px
+    if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
+        T_ref_query, hessian = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+    return _Estimate(T_ref_query, hessian, inlier_mask)
+
+
+def pose_by_ransac(
+    points_ref_m: FloatArray, query_px: FloatArray, camera: Camera, config: VerificationConfig
+) -> tuple[FloatArray, NDArray[np.bool_]] | None:
+    """Return T_ref_query of the four matches that most agree with, and the (M,) mask of those."""
+    cv2.setRNGSeed(0)
+    found, rotation, translation, inliers = cv2.solvePnPRansac(
+        points_ref_m,
+        query_px,
+        camera.matrix,
+        None,
+        iterationsCount=config.ransac_iterations,
+        reprojectionError=config.max_reprojection_px,
+        confidence=0.9999,
+        flags=cv2.SOLVEPNP_AP3P,
+    )
+    if not found or inliers is None:
+        return None
+    inlier_mask = np.zeros(len(points_ref_m), dtype=bool)
+    inlier_mask[inliers.ravel()] = True
+    R_query_ref = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
+    t_query_ref = np.asarray(translation, dtype=np.float64).ravel()
+    return se3.inverse(se3.from_rotation_translation(R_query_ref, t_query_ref)), inlier_mask
+
+
+def _judge(
+    estimate: _Estimate | Rejection, pixels: FloatArray, camera: Camera, config: VerificationConfig
+) -> RelativePose | Rejection:
+    if isinstance(estimate, Rejection):
+        return estimate
+    inliers = int(np.count_nonzero(estimate.inlier_mask))
+    needed = max(config.min_inliers, _MIN_FOR_POSE)
+    if inliers < needed:
+        return Rejection(RejectionReason.FEW_INLIERS, inliers, needed)
+    ratio = inliers / len(pixels)
+    if ratio < config.min_inlier_ratio:
+        return Rejection(RejectionReason.LOW_INLIER_RATIO, ratio, config.min_inlier_ratio)
+    extent = np.ptp(pixels[estimate.inlier_mask], axis=0)
+    support = float(extent[0] * extent[1]) / (camera.width * camera.height)
+    if support < config.min_support:
+        return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
+    return with_floor(estimate.T_ref_query, estimate.hessian)
+
+
+def with_floor(T_ref_query: FloatArray, hessian: FloatArray) -> RelativePose:
+    """Return the motion with a (6, 6) Hessian for information, less what repeats differ by."""
+    information = _add_noise(hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M)
+    return RelativePose(T_ref_query, information)
+
+
+def allow_for_turning(motion: RelativePose, *turning_rad_s: float) -> RelativePose:
+    """Return the motion with less information, as much as the turning of its two cameras costs."""
+    turning = float(np.linalg.norm(turning_rad_s))
+    rotation_rad = _ROTATION_PER_TURNING_S * turning
+    translation_m = _TRANSLATION_PER_TURNING_M_S * turning
+    return replace(motion, information=_add_noise(motion.information, rotation_rad, translation_m))
+
+
+def translation_sigma_m(motion: RelativePose) -> float:
+    """Return the standard deviation of a motion's translation, metres, all directions together."""
+    return float(np.sqrt(np.trace(np.linalg.inv(motion.information)[3:, 3:])))
+
+
+def _add_noise(information: FloatArray, rotation_rad: float, translation_m: float) -> FloatArray:
+    noise = np.diag([rotation_rad**2] * 3 + [translation_m**2] * 3)
+    total = np.linalg.inv(np.linalg.inv(information) + noise)
+    return np.asarray(0.5 * (total + total.T))

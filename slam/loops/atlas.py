@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole of the map: segments, and the loops that join them."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.config import GraphConfig
+from slam.geometry import se3
+from slam.loops.submaps import Part, joined, part_of
+from slam.pose_graph import PoseGraph
+from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose, SlamError
+
+
+@dataclass(frozen=True)
+class AtlasSolution:
+    """The largest part of the map, solved, and what is no part of it.
+
+    Attributes:
+        T_world_kf: (K, 4, 4), NaN for the keyframes of other parts.
+        weights: trust per loop key, 0 (ignored) to 1.
+        links: its motions that are no loops, those that tie its segments among them.
+        unjoined: per key of a loop in or to another part, how many loops agree on where that lies.
+        warnings: one sentence each.
+    """
+
+    T_world_kf: FloatArray
+    weights: dict[int, float]
+    links: tuple[Link, ...]
+    unjoined: dict[int, int]
+    warnings: tuple[str, ...]
+
+
+class Atlas:
+    """Keyframes and motions, sorted into parts of the map that hang together.
+
+    Every segment has a pose graph of its own. Whenever somebody asks, those that loops join make
+    one, in which the loops between them have to prove themselves as any other loop has to.
+    """
+
+    def __init__(self, config: GraphConfig) -> None:
+        self._config = config
+        self._graphs: dict[int, PoseGraph] = {}  # by segment
+        self._keyframes: list[Keyframe] = []
+        self._links: list[Link] = []
+        self._loops: dict[int, Link] = {}
+
+    def add(
+        self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]
+    ) -> None:
+        """Add the next keyframe, its motions to others of its segment, and its loops by key."""
+        if keyframe.segment not in self._graphs:
+            self._graphs[keyframe.segment] = PoseGraph(self._config)
+        graph = self._graphs[keyframe.segment]
+        T_world_kf = np.eye(4)
+        if links:
+            T_world_kf = graph.T_world_kf(links[0].ref_id) @ links[0].motion.T_ref_query
+        graph.add_keyframe(keyframe.id, T_world_kf)
+        self._keyframes.append(keyframe)
+        for link in links:
+            graph.add_link(link)
+        self._links.extend(links)
+        for key, attempt in attempts.items():
+            if isinstance(attempt.outcome, RelativePose):
+                loop = Link(attempt.match_id, attempt.query_id, attempt.outcome)
+                self._loops[key] = loop
+                if self._keyframes[loop.ref_id].segment == keyframe.segment:
+                    graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
+
+    def finish(self, frames: Mapping[int, int]) -> AtlasSolution:
+        """Solve the part with the most frames, the earlier of equals; frames are per keyframe."""
+        parts = self._parts()
+        largest = _largest(parts, frames)
+        solution = self._graph(largest).finish()
+        T_world_kf = np.full((len(self._keyframes), 4, 4), np.nan)
+        T_world_kf[list(largest.T_part_kf)] = solution.T_world_kf
+        return AtlasSolution(
+            T_world_kf,
+            solution.weights,
+            tuple(largest.links),
+            self._unjoined(parts, largest),
+            solution.warnings,
+        )
+
+    def T_world_odom(self, frames: Mapping[int, int]) -> FloatArray:
+        """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
+
+        Raises:
+            SlamError: there is no keyframe yet, or it is not in the part with the most frames.
+        """
+        if not self._keyframes:
+            raise SlamError("there is no keyframe yet that a correction could be known of")
+        largest, newest = _largest(self._parts(), frames), self._keyframes[-1]
+        if newest.id not in largest.T_part_kf:
+            raise SlamError(
+                "the camera was lost or began a new session, and so far no two loops agree where"
+                " the part of the map that it is in now lies to the largest; ask again later"
+            )
+        graph = self._graph(largest)
+        graph.update()
+        return graph.T_world_kf(newest.id) @ se3.inverse(newest.T_odom_cam)
+
+    def _parts(self) -> list[Part]:
+        parts = {segment: Part({}, []) for segment in self._graphs}
+        for keyframe in self._keyframes:
+            parts[keyframe.segment].T_part_kf[keyframe.id] = keyframe.T_odom_cam
+        for link in self._links:
+            parts[self._keyframes[link.ref_id].segment].links.append(link)
+        return joined(list(parts.values()), self._loops.values())
+
+    def _graph(self, part: Part) -> PoseGraph:
+        segments = {self._keyframes[k].segment for k in part.T_part_kf}
+        if len(segments) == 1:
+            return self._graphs[segments.pop()]
+        graph = PoseGraph(self._config)
+        T_world_part = se3.inverse(part.T_part_kf[part.first])
+        for k, T_part_kf in part.T_part_kf.items():
+            graph.add_keyframe(k, T_world_part @ T_part_kf)
+        for link in part.links:
+            graph.add_link(link)
+        for key, loop in self._loops.items():
+            if loop.ref_id in part.T_part_kf and loop.query_id in part.T_part_kf:
+                graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
+        return graph
+
+    def _unjoined(self, parts: Sequence[Part], largest: Part) -> dict[int, int]:
+        """Return how many loops tie their part to the largest, per loop that is not within it."""
+        number_of = part_of(parts)
+        pairs = {
+            key: {number_of[loop.ref_id], number_of[loop.query_id]}
+            for key, loop in self._loops.items()
+        }
+        home = parts.index(largest)
+        near = {part for pair in pairs.values() if home in pair for part in pair} - {home}
+        return {key: int(bool(pair & near)) for key, pair in pairs.items() if pair != {home}}
+
+
+def tied(keyframes: Sequence[Keyframe], links: Sequence[Link]) -> tuple[Keyframe, ...]:
+    """Return keyframes whose T_odom_cam are those of one odometry, where links tie their segments.
+
+    A segment that hangs on no other stays where it is.
+    """
+    below: dict[int, list[Link]] = defaultdict(list)
+    for link in links:
+        above, segment = (keyframes[k].segment for k in (link.ref_id, link.query_id))
+        if above != segment:
+            below[above].append(link)
+    hanging = {keyframes[tie.query_id].segment for ties in below.values() for tie in ties}
+    T_odom_segment = {each: np.eye(4) for each in below if each not in hanging}
+    todo = list(T_odom_segment)
+    for above in todo:
+        for tie in below[above]:
+            ref, first = keyframes[tie.ref_id], keyframes[tie.query_id]
+            T_odom_first = T_odom_segment[above] @ ref.T_odom_cam @ tie.motion.T_ref_query
+            T_odom_segment[first.segment] = T_odom_first @ se3.inverse(first.T_odom_cam)
+            todo.append(first.segment)
+    return tuple(
+        replace(each, T_odom_cam=T_odom_segment[each.segment] @ each.T_odom_cam)
+        if each.segment in hanging
+        else each
+        for each in keyframes
+    )
+
+
+def _largest(parts: Sequence[Part], frames: Mapping[int, int]) -> Part:
+    return max(parts, key=lambda part: part.size(frames))

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Places, loops and the pose graph: worked on behind the tracker's back, one keyframe at a time."""
+
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.errors import RecognizerError
+from placerec.recognizer import PlaceRecognizer
+from slam.config import Config
+from slam.loops.atlas import Atlas
+from slam.loops.loop_closure import LoopCloser
+from slam.loops.submaps import NEEDED_LOOPS
+from slam.result import Calibration
+from slam.stage_clock import StageClock
+from slam.types import (
+    MIN_TRUSTED_WEIGHT,
+    Camera,
+    FloatArray,
+    Keyframe,
+    Link,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+)
+
+_ROOM = 8  # keyframes in line: a camera that turns fast makes some in a row, and then fewer
+
+
+@dataclass(frozen=True)
+class ClosedLoops:
+    """What all keyframes together say.
+
+    Attributes:
+        T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's part of the map to the largest.
+        attempts: every loop candidate, with its final weight.
+        links: the motions that are no loops, of the keyframes that have a place.
+        warnings: one sentence each.
+    """
+
+    T_world_kf: FloatArray
+    attempts: tuple[LoopAttempt, ...]
+    links: tuple[Link, ...]
+    warnings: tuple[str, ...]
+
+    def trusted_pairs(self) -> list[tuple[int, int]]:
+        """Return the (match, query) keyframe ids of the loops that hold."""
+        return [
+            (each.match_id, each.query_id)
+            for each in self.attempts
+            if (each.weight or 0.0) > MIN_TRUSTED_WEIGHT
+        ]
+
+
+class BackEnd:
+    """Describes each keyframe's place, closes its loops and constrains the graph, in a thread.
+
+    Tracking needs none of the answers, so it never waits for them, but for one thing: no more than
+    a few keyframes may stand in line. So the work cannot pile up, and what comes out does not
+    depend on who was faster. The graph is solved only when somebody asks: each solve takes longer
+    than the one before.
+
+    Attributes:
+        keyframes: those that were taken in completely.
+    """
+
+    def __init__(
+        self, camera: Camera, recognizer: PlaceRecognizer, config: Config, clock: StageClock
+    ) -> None:
+        self._loop_closer = LoopCloser(camera, recognizer, config.loop, config.verification)
+        self._atlas = Atlas(config.graph)
+        self._clock = clock
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
+        self._in_line: deque[Future[tuple[LoopAttempt, ...]]] = deque()
+        self._failure: RecognizerError | None = None  # nothing after it is taken in
+        self._attempts: list[LoopAttempt] = []
+        self.keyframes: list[Keyframe] = []
+
+    @property
+    def min_similarity(self) -> float:
+        """The similarity from which candidates are verified."""
+        return self._loop_closer.min_similarity
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no keyframe was taken in and none is being worked on."""
+        return not self.keyframes and not self._in_line
+
+    def insert(self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]) -> None:
+        """Put a keyframe in line, once there is room.
+
+        Raises:
+            RecognizerError: the recognizer failed on one before; those until then are in the graph.
+        """
+        if len(self._in_line) == _ROOM:
+            self._first_in_line()
+        # A copy: cameras reuse their memory.
+        self._in_line.append(self._thread.submit(self._take, keyframe, links, rgb.copy()))
+
+    def settle(self) -> tuple[LoopAttempt, ...]:
+        """Wait for all keyframes in line and return the loop candidates of the last one.
+
+        Raises:
+            RecognizerError: the recognizer failed on one; those until then are in the graph.
+        """
+        attempts: tuple[LoopAttempt, ...] = ()
+        while self._in_line:
+            attempts = self._first_in_line()
+        return attempts
+
+    def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
+        """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
+
+        Args:
+            frames: as for `solve`.
+
+        Raises:
+            SlamError: there is no keyframe yet, or its part of the map is not joined to the rest.
+            RecognizerError: the recognizer failed on a keyframe; without it, ask again.
+        """
+        self.settle()
+        with self._clock.stage("graph"):
+            return self._atlas.T_world_odom(self._counted(frames))
+
+    def solve(self, frames: Mapping[int, int] | None = None) -> ClosedLoops:
+        """Weigh all loops once more and return what they make of the keyframes.
+
+        Args:
+            frames: how many there are of each keyframe id, to tell which part of the map is the
+                largest; default: one of each.
+
+        Raises:
+            RecognizerError: the recognizer failed on a keyframe; without it, ask again.
+        """
+        self.settle()
+        with self._clock.stage("graph"):
+            solution = self._atlas.finish(self._counted(frames))
+        attempts = tuple(
+            _unjoined(attempt, solution.unjoined[key])
+            if key in solution.unjoined
+            else replace(attempt, weight=solution.weights.get(key))
+            for key, attempt in enumerate(self._attempts)
+        )
+        return ClosedLoops(solution.T_world_kf, attempts, solution.links, solution.warnings)
+
+    def similarities(self) -> NDArray[np.float32]:
+        """Return (K, K), how alike all keyframes are, -1 to 1."""
+        return self._loop_closer.similarities()
+
+    def calibration(self) -> Calibration | None:
+        """Return what the recognizer was calibrated on beside what it met, where it says so."""
+        return self._loop_closer.calibration()
+
+    def _first_in_line(self) -> tuple[LoopAttempt, ...]:
+        try:
+            return self._in_line.popleft().result()
+        except RecognizerError:
+            self._in_line.clear()  # they end the same way, which nobody has to hear twice
+            raise
+
+    def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
+        return dict.fromkeys(range(len(self.keyframes)), 1) if frames is None else frames
+
+    def _take(
+        self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
+    ) -> tuple[LoopAttempt, ...]:
+        if self._failure:
+            raise self._failure
+        try:
+            return self._take_in(keyframe, links, rgb)
+        except RecognizerError as failure:
+            self._failure = failure
+            raise
+
+    def _take_in(
+        self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
+    ) -> tuple[LoopAttempt, ...]:
+        with self._clock.stage("describe"):
+            embedding = self._loop_closer.describe(rgb)
+        with self._clock.stage("close loops"):
+            linked_ids = [link.ref_id for link in links]
+            attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
+        with self._clock.stage("graph"):
+            self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
+        self.keyframes.append(keyframe)
+        self._attempts.extend(attempts)
+        return attempts
+
+
+def _unjoined(attempt: LoopAttempt, agreeing: int) -> LoopAttempt:
+    return replace(
+        attempt, outcome=Rejection(RejectionReason.UNJOINED, agreeing, NEEDED_LOOPS), weight=None
+    )

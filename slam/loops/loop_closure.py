@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds the earlier keyframes that show the same place, and accounts for every candidate."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.certificate import certificate_of
+from placerec.checked_recognizer import CheckedRecognizer
+from placerec.index import PlaceIndex
+from placerec.recognizer import PlaceRecognizer
+from slam.config import LoopConfig, VerificationConfig
+from slam.geometry.relative_pose import (
+    allow_for_turning,
+    estimate_relative_pose,
+    translation_sigma_m,
+)
+from slam.result import Calibration
+from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
+
+
+class LoopCloser:
+    """Retrieve by similarity, verify by geometry; no candidate goes unrecorded."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        recognizer: PlaceRecognizer,
+        loop_config: LoopConfig,
+        verification_config: VerificationConfig,
+    ) -> None:
+        self._camera = camera
+        self._recognizer = CheckedRecognizer(recognizer)
+        self._certificate = certificate_of(recognizer)
+        self._loop_config = loop_config
+        self._verification_config = verification_config
+        self._keyframes: list[Keyframe] = []
+        self._looked_at: list[NDArray[np.bool_]] = []
+        self._index = PlaceIndex(self._recognizer)
+        chosen = loop_config.min_similarity
+        self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
+
+    def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the float32 embedding of a (H, W, 3) RGB image.
+
+        Raises:
+            RecognizerError: the recognizer returned something that is not an embedding.
+        """
+        return self._recognizer.embed(rgb)
+
+    def close(
+        self, keyframe: Keyframe, embedding: NDArray[np.float32], linked_ids: Sequence[int] = ()
+    ) -> tuple[LoopAttempt, ...]:
+        """Remember a keyframe and return what became of every earlier one that resembles it.
+
+        Args:
+            keyframe: the new one.
+            embedding: as `describe` returned it.
+            linked_ids: keyframes whose motion to it is known already: however long ago they were
+                seen, a camera that stood still closes no loop.
+
+        Of another segment every keyframe is a candidate, for nothing else tells where that lies.
+
+        Raises:
+            RecognizerError: the recognizer compares its embeddings itself, and failed.
+        """
+        is_candidate = self._candidates(keyframe, linked_ids)
+        ids, similarities = self._most_similar(embedding, is_candidate)
+        attempts = [
+            self._attempt(keyframe, self._keyframes[match_id], float(similarity))
+            for match_id, similarity in zip(ids, similarities, strict=True)
+            if similarity >= self.min_similarity
+        ]
+        if not attempts and len(ids):
+            # The best of those that were not similar enough answers "why was there no loop?".
+            attempts = [self._attempt(keyframe, self._keyframes[ids[0]], float(similarities[0]))]
+        self._keyframes.append(keyframe)
+        self._looked_at.append(is_candidate)
+        self._index.add(embedding)
+        return tuple(attempts)
+
+    def similarities(self) -> NDArray[np.float32]:
+        """Return (K, K), how alike all keyframes so far are, -1 to 1."""
+        return self._index.similarities()
+
+    def calibration(self) -> Calibration | None:
+        """Return where the recognizer's threshold comes from and what it met, None if unknown."""
+        if self._certificate is None:
+            return None
+        rows = zip(self.similarities(), self._looked_at, strict=True)
+        pairs = [row[: len(looked_at)][looked_at] for row, looked_at in rows]
+        live = np.concatenate([np.empty(0, np.float32), *pairs])
+        return Calibration(self._certificate, live)
+
+    def _candidates(self, keyframe: Keyframe, linked_ids: Sequence[int]) -> NDArray[np.bool_]:
+        latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
+        old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
+        limit = min([old_enough, *linked_ids])
+        is_other = [each.segment != keyframe.segment for each in self._keyframes]
+        return np.array(is_other, dtype=bool) | (np.arange(len(is_other)) < limit)
+
+    def _most_similar(
+        self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        limit = int(np.flatnonzero(is_candidate)[-1]) + 1 if is_candidate.any() else 0
+        wanted = self._loop_config.candidates
+        left_out = limit - int(np.count_nonzero(is_candidate))
+        ids, similarities = self._index.query(embedding, count=wanted + left_out, limit=limit)
+        chosen = np.flatnonzero(is_candidate[ids])[:wanted]
+        return ids[chosen], similarities[chosen]
+
+    def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
+        if similarity < self.min_similarity:
+            rejection = Rejection(RejectionReason.LOW_SIMILARITY, similarity, self.min_similarity)
+            return LoopAttempt(query.id, match.id, similarity, None, rejection)
+        verification = estimate_relative_pose(
+            match.features, query.features, self._camera, self._verification_config
+        )
+        outcome = self._judge(verification.outcome, match, query)
+        return LoopAttempt(query.id, match.id, similarity, verification, outcome)
+
+    def _judge(
+        self, outcome: RelativePose | Rejection, match: Keyframe, query: Keyframe
+    ) -> RelativePose | Rejection:
+        if isinstance(outcome, Rejection):
+            return outcome
+        motion = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
+        sigma_m, limit_m = translation_sigma_m(motion), self._verification_config.max_uncertainty_m
+        if sigma_m > limit_m:
+            return Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
+        return motion

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landmarks, the keyframes that see them, and their adjustment to each other."""

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bundle adjustment: poses and points that together explain what all cameras measured.
+
+Levenberg-Marquardt on the camera poses alone: the points are eliminated (Schur complement), all
+of them at once, as each is 3x3.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from slam.geometry import se3
+from slam.geometry.reprojection import Measurements, robust_costs, robust_weights
+from slam.types import Camera, FloatArray
+
+IntArray = NDArray[np.int64]
+
+_FIRST_DAMPING = 1e-5
+_SMALL_GAIN = 1e-4  # relative; less is not worth another step
+_MAX_REFUSALS = 5
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Cameras, points, and who saw what.
+
+    Attributes:
+        T_world_cam: (K, 4, 4).
+        is_fixed: (K,) bool, cameras that stay; at least one.
+        points_m: (P, 3), world frame.
+        camera_of, point_of: (O,) int, the camera and the point of each observation; the points
+            in increasing order.
+        measured: the O observations.
+    """
+
+    T_world_cam: FloatArray
+    is_fixed: NDArray[np.bool_]
+    points_m: FloatArray
+    camera_of: IntArray
+    point_of: IntArray
+    measured: Measurements
+
+    def select(self, mask: NDArray[np.bool_]) -> "Bundle":
+        """Keep some of the observations, by an (O,) mask."""
+        return replace(
+            self,
+            camera_of=self.camera_of[mask],
+            point_of=self.point_of[mask],
+            measured=self.measured.select(mask),
+        )
+
+
+def adjust(bundle: Bundle, camera: Camera, max_steps: int) -> Bundle:
+    """Return the bundle with the poses and points that fit the observations best."""
+    if len(bundle.measured) == 0 or bundle.is_fixed.all():
+        return bundle
+    ties = _Ties(bundle)
+    damping, refusals = _FIRST_DAMPING, 0
+    misfit = _misfit(bundle, camera)
+    system: _System | None = None
+    for _ in range(max_steps):
+        system = system or _linearise(bundle, misfit, ties)
+        moved = _moved(bundle, *_solve(system, ties, damping))
+        after = _misfit(moved, camera)
+        if after.cost > misfit.cost:
+            damping, refusals = 10.0 * damping, refusals + 1
+            if refusals > _MAX_REFUSALS:
+                break
+            continue
+        gain = (misfit.cost - after.cost) / max(misfit.cost, 1e-300)
+        bundle, misfit, system = moved, after, None
+        damping, refusals = 0.1 * damping, 0
+        if gain < _SMALL_GAIN:
+            break
+    return bundle
+
+
+def agreeing(bundle: Bundle, camera: Camera) -> NDArray[np.bool_]:
+    """Return (O,) bool: the observations that fit."""
+    return bundle.measured.agree(_points_in_cameras(bundle), camera)
+
+
+class _Ties:
+    """Who sees whom, as sparse matrices: what stays the same from step to step.
+
+    Attributes:
+        free: (F,), the cameras that may move.
+        by_camera, by_point: (K, O) and (P, O), they add up what belongs to the same one.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        observations, points = len(bundle.measured), len(bundle.points_m)
+        ones, everything = np.ones(observations), np.arange(observations)
+        self.by_camera = scipy.sparse.csr_array(
+            (ones, (bundle.camera_of, everything)), shape=(len(bundle.is_fixed), observations)
+        )
+        self.by_point = scipy.sparse.csr_array(
+            (ones, (bundle.point_of, everything)), shape=(points, observations)
+        )
+        self.free = np.flatnonzero(~bundle.is_fixed)
+        self._of_free = np.flatnonzero(~bundle.is_fixed[bundle.camera_of])
+        self._column = np.searchsorted(self.free, bundle.camera_of[self._of_free])
+        self._point_of = bundle.point_of[self._of_free]
+        self._row_starts = np.searchsorted(self._point_of, np.arange(points + 1))
+
+    def blocks(self, W: FloatArray, by_point: FloatArray | None = None) -> scipy.sparse.bsr_array:
+        """Return (O, 3, 6) blocks, those of free cameras, as a (3 P, 6 F) matrix.
+
+        Each is multiplied by the (P, 3, 3) matrix of its point from the left, if there are such.
+        """
+        blocks = W[self._of_free]
+        if by_point is not None:
+            blocks = by_point[self._point_of] @ blocks
+        shape = (3 * (len(self._row_starts) - 1), 6 * len(self.free))
+        return scipy.sparse.bsr_array((blocks, self._column, self._row_starts), shape=shape)
+
+
+@dataclass(frozen=True)
+class _Misfit:
+    """How far the observations are off, and the robust cost of it.
+
+    Attributes:
+        residuals: (3, O), whitened, weighted.
+        by_point: (3, 3, O), their derivative by the point in the camera's frame.
+        points_cam_m: (3, O), there.
+        cost: of all together.
+    """
+
+    residuals: FloatArray
+    by_point: FloatArray
+    points_cam_m: FloatArray
+    cost: float
+
+
+@dataclass(frozen=True)
+class _System:
+    """The Gauss-Newton approximation of the robust cost."""
+
+    H_cam: FloatArray  # (K, 6, 6)
+    g_cam: FloatArray  # (K, 6)
+    H_point: FloatArray  # (P, 3, 3)
+    g_point: FloatArray  # (P, 3)
+    W: FloatArray  # (O, 3, 6), point by camera, per observation
+
+
+def _points_in_cameras(bundle: Bundle) -> FloatArray:
+    T_cam_world = se3.inverse(bundle.T_world_cam)[bundle.camera_of]
+    points = bundle.points_m[bundle.point_of]
+    rotated: FloatArray = np.einsum("oij,oj->oi", T_cam_world[:, :3, :3], points)
+    return rotated + T_cam_world[:, :3, 3]
+
+
+def _misfit(bundle: Bundle, camera: Camera) -> _Misfit:
+    points_cam_m = _points_in_cameras(bundle)
+    residuals, by_point = bundle.measured.residuals(points_cam_m, camera)
+    roots = np.sqrt(robust_weights(residuals))
+    return _Misfit(
+        residuals=_observations_last(roots * residuals),
+        by_point=_observations_last(roots[:, :, None] * by_point),
+        points_cam_m=_observations_last(points_cam_m),
+        cost=float(robust_costs(residuals).sum()),
+    )
+
+
+def _observations_last(values: FloatArray) -> FloatArray:
+    """Return (..., O) of (O, ...): numpy multiplies small matrices several times faster so."""
+    return np.ascontiguousarray(np.moveaxis(values, 0, -1))
+
+
+def _linearise(bundle: Bundle, misfit: _Misfit, ties: _Ties) -> _System:
+    r, A = misfit.residuals, misfit.by_point
+    # p_cam = exp(-xi) T_cam_world p_world: d p_cam = p_cam x omega - v + R_cam_world d p_world
+    R_world_cam = _observations_last(bundle.T_world_cam[bundle.camera_of, :3, :3])
+    J_cam = np.concatenate([np.cross(A, misfit.points_cam_m[None], axis=1), -A], axis=1)
+    J_point = np.einsum("rio,jio->rjo", A, R_world_cam)
+    return _System(
+        H_cam=_added(ties.by_camera, np.einsum("rio,rjo->oij", J_cam, J_cam)),
+        g_cam=_added(ties.by_camera, np.einsum("rio,ro->oi", J_cam, r)),
+        H_point=_added(ties.by_point, np.einsum("rio,rjo->oij", J_point, J_point)),
+        g_point=_added(ties.by_point, np.einsum("rio,ro->oi", J_point, r)),
+        W=np.einsum("rio,rjo->oij", J_point, J_cam),
+    )
+
+
+def _added(by: scipy.sparse.csr_array, values: FloatArray) -> FloatArray:
+    return np.asarray(by @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def _solve(system: _System, ties: _Ties, damping: float) -> tuple[FloatArray, FloatArray]:
+    """Return the damped step of cameras (K, 6) and of points (P, 3)."""
+    free = ties.free
+    H_cam = scipy.sparse.bsr_array(
+        (_damped(system.H_cam[free], damping), np.arange(len(free)), np.arange(len(free) + 1))
+    )
+    H_point_inverse = np.asarray(np.linalg.inv(_damped(system.H_point, damping)), np.float64)
+    W = ties.blocks(system.W)
+    inverse_W = ties.blocks(system.W, H_point_inverse)
+    # Two cameras that see the same point are tied through it.
+    reduced = (H_cam - W.T @ inverse_W).tocsc()
+    step_free = -splu(reduced).solve(
+        system.g_cam[free].ravel() - inverse_W.T @ system.g_point.ravel()
+    )
+    by_cameras = (inverse_W @ step_free).reshape(-1, 3)
+    step_cam = np.zeros(system.g_cam.shape)
+    step_cam[free] = step_free.reshape(-1, 6)
+    return step_cam, -np.einsum("pij,pj->pi", H_point_inverse, system.g_point) - by_cameras
+
+
+def _damped(blocks: FloatArray, damping: float) -> FloatArray:
+    size = blocks.shape[-1]
+    diagonal = np.einsum("nii->ni", blocks)
+    # The trace of curvature keeps what no observation holds where it is.
+    return np.asarray(blocks + (damping * diagonal + 1e-6)[:, :, None] * np.eye(size))
+
+
+def _moved(bundle: Bundle, step_cam: FloatArray, step_point: FloatArray) -> Bundle:
+    T_world_cam = bundle.T_world_cam.copy()
+    for k in np.flatnonzero(~bundle.is_fixed):
+        T_world_cam[k] = T_world_cam[k] @ se3.exp(step_cam[k])
+    return replace(bundle, T_world_cam=T_world_cam, points_m=bundle.points_m + step_point)

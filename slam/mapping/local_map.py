@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The part of the map that the tracker looks at, kept true by adjusting it as keyframes enter."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+
+from slam.config import Config
+from slam.geometry.feature_grid import FeatureGrid
+from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.landmarks import IntArray
+from slam.mapping.map_adjustment import MapPart, adjusted, put_back, take_part
+from slam.types import Camera, Features, FloatArray
+
+_WINDOW = 10  # keyframes that are adjusted together when a new one enters
+_OUTER = 10  # further ones that see the same landmarks and hold the window in place
+_ROUNDS = (3, 5)  # steps of the adjustment, before and after what does not fit is dropped
+_FUSE_RADIUS_PX = 3.0
+_TRIAL_KEYFRAMES = 3  # a feature that no other of so many keyframes shows was no landmark
+
+
+class LocalMap:
+    """A map that grows by keyframes, and the landmarks around the last of them.
+
+    The keyframes around a new one are adjusted in a thread of its own, and always put back before
+    the map is looked at again: the next frame comes later anyway, and what comes out does not
+    depend on who was faster.
+
+    Attributes:
+        whole: all keyframes and landmarks, odometry frame.
+        nearby_ids: landmarks that the last keyframe and its company see.
+    """
+
+    def __init__(self, camera: Camera, config: Config) -> None:
+        self.whole = LandmarkMap(
+            camera, config.features.levels, config.verification.max_descriptor_distance
+        )
+        self.nearby_ids: IntArray = np.zeros(0, dtype=np.int64)
+        self._origins: set[int] = set()
+        self._window: list[int] = []
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="adjustment")
+        self._underway: Future[MapPart] | None = None
+
+    def insert(
+        self, features: Features, grid: FeatureGrid, T_odom_cam: FloatArray, pairs: IntArray
+    ) -> int:
+        """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id.
+
+        It stays where it is put until the map is settled.
+        """
+        self.settle()
+        newest = self.whole.add_keyframe(features, grid, T_odom_cam, pairs)
+        neighbours = [k for k in self.whole.company(pairs[:, 0]) if k != newest][: _WINDOW - 1]
+        made = self.whole.add_landmarks(newest)
+        for neighbour in neighbours:
+            self.whole.fuse(neighbour, made, _FUSE_RADIUS_PX)
+        self._window = sorted([*neighbours, newest])
+        self._cull(newest)
+        if not neighbours:
+            self._origins.add(newest)
+        self._underway = self._thread.submit(adjusted, self._part(), self.whole.camera, _ROUNDS)
+        return newest
+
+    def settle(self) -> bool:
+        """Put the keyframes where they were adjusted to; return whether there were any."""
+        underway, self._underway = self._underway, None
+        if underway is None:
+            return False
+        put_back(self.whole, underway.result())
+        self.nearby_ids = self.whole.seen_by(self._window)
+        return True
+
+    def _cull(self, newest: int) -> None:
+        table, ids = self.whole.landmarks, self.whole.seen_by(self._window)
+        had_its_chance = table.first_keyframe[ids] + _TRIAL_KEYFRAMES <= newest
+        table.is_alive[ids[had_its_chance & (table.sightings[ids] < 2)]] = False
+
+    def _part(self) -> MapPart:
+        """Return the window, and what else sees its landmarks and holds it in place."""
+        company = self.whole.company(self.whole.seen_by(self._window))
+        outer = [k for k in company if k not in self._window][:_OUTER]
+        # The first keyframe of a segment is its origin; it moves for nobody.
+        free = [k for k in self._window if k not in self._origins]
+        origins = [k for k in self._window if k in self._origins]
+        return take_part(self.whole, free, [*outer, *origins])

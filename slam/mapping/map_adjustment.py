@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bundle adjustment of a part of the map: copied out, adjusted, and put back."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.geometry.reprojection import Measurements
+from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
+from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.landmarks import UNSEEN, IntArray
+from slam.types import Camera, FloatArray, Keyframe
+
+_MIN_OBSERVERS = 2  # a point that one camera alone sees says nothing of where it is
+
+
+@dataclass(frozen=True)
+class MapPart:
+    """Keyframes and the landmarks that tie them; it shares nothing with the map.
+
+    Attributes:
+        keyframe_ids: the bundle's K cameras.
+        landmark_ids: (P,) the bundle's points.
+        feature_of: (O,) the feature behind each observation.
+        bundle: what is adjusted.
+        fits: (O,) bool, the observations that agree with it; all until it is adjusted.
+    """
+
+    keyframe_ids: tuple[int, ...]
+    landmark_ids: IntArray
+    feature_of: IntArray
+    bundle: Bundle
+    fits: NDArray[np.bool_]
+
+
+def take_part(the_map: LandmarkMap, free: Sequence[int], fixed: Sequence[int]) -> MapPart:
+    """Return keyframes that may move, others that hold them in place, and what ties them.
+
+    Where none is fixed, the first one is.
+    """
+    keyframe_ids = (*free, *fixed)
+    camera_of, feature_of, landmark_of = _observations(the_map, keyframe_ids)
+    of_free = np.isin(landmark_of, the_map.seen_by(free))
+    _, inverse, observers = np.unique(landmark_of, return_inverse=True, return_counts=True)
+    chosen = np.flatnonzero(of_free & (observers[inverse] >= _MIN_OBSERVERS))
+    chosen = chosen[np.lexsort((camera_of[chosen], landmark_of[chosen]))]
+    landmark_ids, point_of = np.unique(landmark_of[chosen], return_inverse=True)
+    keyframes = [the_map.keyframes[k] for k in keyframe_ids]
+    starts = np.cumsum([0, *(len(each.measured) for each in keyframes)])
+    measured = Measurements.joined([each.measured for each in keyframes])
+    bundle = Bundle(
+        T_world_cam=np.array([each.T_map_cam for each in keyframes]),
+        is_fixed=np.arange(len(keyframes)) >= len(free) if fixed else np.arange(len(keyframes)) < 1,
+        points_m=the_map.landmarks.positions_m[landmark_ids],
+        camera_of=camera_of[chosen],
+        point_of=point_of,
+        measured=measured.select(starts[camera_of[chosen]] + feature_of[chosen]),
+    )
+    fits = np.ones(len(chosen), dtype=bool)
+    return MapPart(keyframe_ids, landmark_ids, feature_of[chosen], bundle, fits)
+
+
+def adjusted(part: MapPart, camera: Camera, rounds: Sequence[int]) -> MapPart:
+    """Return the part after some rounds of so many steps each; what does not fit sits one out."""
+    bundle, fits = part.bundle, part.fits
+    for steps in rounds:
+        moved = adjust(bundle.select(fits), camera, steps)
+        bundle = replace(bundle, T_world_cam=moved.T_world_cam, points_m=moved.points_m)
+        fits = agreeing(bundle, camera)
+    return replace(part, bundle=bundle, fits=fits)
+
+
+def put_back(the_map: LandmarkMap, part: MapPart) -> None:
+    """Move the map's keyframes and landmarks to where they were adjusted; drop what does not fit.
+
+    Landmarks that were left out ride on the keyframe that made them.
+    """
+    bundle = part.bundle
+    the_map.carry(part.keyframe_ids, bundle.T_world_cam)
+    the_map.landmarks.positions_m[part.landmark_ids] = bundle.points_m
+    for camera, k in enumerate(part.keyframe_ids):
+        keyframe = the_map.keyframes[k]
+        gone = part.feature_of[~part.fits & (bundle.camera_of == camera)]
+        lost = the_map.landmarks.resolve(keyframe.landmark_of[gone])
+        the_map.landmarks.sightings[lost[lost != UNSEEN]] -= 1
+        keyframe.landmark_of[gone] = UNSEEN
+
+
+def _observations(
+    the_map: LandmarkMap, keyframe_ids: Sequence[int]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the camera, the feature and the landmark of all that the keyframes see."""
+    seen = [the_map.landmarks.resolve(the_map.keyframes[k].landmark_of) for k in keyframe_ids]
+    features = [np.flatnonzero(each != UNSEEN) for each in seen]
+    cameras = [np.full(len(each), i) for i, each in enumerate(features)]
+    landmarks = [each[index] for each, index in zip(seen, features, strict=True)]
+    return np.concatenate(cameras), np.concatenate(features), np.concatenate(landmarks)
+
+
+# The pose graph leaves this much between the two ends of a loop, and an adjusted map that much.
+_LOOP_RADIUS_PX, _LOOP_COMPANY = 8.0, 5
+_ADJUSTED_RADIUS_PX, _ADJUSTED_COMPANY = 3.0, 15
+_ROUNDS = (5, 5, 10)
+
+MOST_KEYFRAMES = 500
+"""What is adjusted at once. The work grows with the square of how often a place is seen again, and
+stretch by stretch, each held in place by those around it, nothing is gained over the pose graph."""
+
+
+def too_large(keyframes: int) -> tuple[str, ...]:
+    """Return a sentence if so many keyframes are more than can be adjusted at once, else none."""
+    if keyframes <= MOST_KEYFRAMES:
+        return ()
+    return (
+        f"{keyframes} keyframes are more than the {MOST_KEYFRAMES} that can be adjusted at once, so"
+        " their poses are as the pose graph left them",
+    )
+
+
+def where_tracking_put(the_map: LandmarkMap, keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
+    """Return the keyframes at their last places in the tracker's map, which knows of no loop."""
+    places = the_map.keyframes[: len(keyframes)]
+    return tuple(
+        replace(keyframe, T_odom_cam=place.T_map_cam)
+        for keyframe, place in zip(keyframes, places, strict=True)
+    )
+
+
+def closed_map(
+    the_map: LandmarkMap,
+    keyframe_ids: Sequence[int],
+    T_world_kf: FloatArray,
+    loops: Sequence[tuple[int, int]],
+) -> LandmarkMap:
+    """Return the map moved to where the pose graph puts it, tied across the loops, and adjusted.
+
+    Args:
+        the_map: the tracker's map; it stays as it is.
+        keyframe_ids: the K keyframes that have a place; the others stay as they are.
+        T_world_kf: (K, 4, 4) their poses to start from.
+        loops: pairs of keyframe ids that show the same place.
+    """
+    final = the_map.copy()
+    final.carry(keyframe_ids, T_world_kf)
+    for match_id, query_id in loops:
+        _look_again(final, query_id, match_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
+        _look_again(final, match_id, query_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
+    _adjust(final, keyframe_ids)
+    for k in keyframe_ids:
+        _look_again(final, k, k, _ADJUSTED_COMPANY, _ADJUSTED_RADIUS_PX)
+    _adjust(final, keyframe_ids)
+    return final
+
+
+def _look_again(
+    the_map: LandmarkMap, k: int, seen_from: int, company: int, radius_px: float
+) -> None:
+    """Look in keyframe k for what another keyframe and those that share most with it see."""
+    others = the_map.company(the_map.seen_by([seen_from]))[:company]
+    the_map.fuse(k, the_map.seen_by([seen_from, *others]), radius_px)
+
+
+def _adjust(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> None:
+    part = take_part(the_map, keyframe_ids, [])
+    put_back(the_map, adjusted(part, the_map.camera, _ROUNDS))

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of one run: what is written there, in which order."""
+
+import json
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from placerec.files import write_atomically
+from slam.config import Config, to_toml
+from slam.evaluation.drift import DriftReport
+from slam.evaluation.trajectory import write_tum
+from slam.output.ledger import write_ledger
+from slam.output.point_cloud import write_map
+from slam.output.report import write_report
+from slam.output.summary import summarise
+from slam.pose_graph import write_g2o
+from slam.result import SlamResult
+from slam.types import Link, RelativePose, SlamError, Trajectory, final_rejection
+
+
+def make_run_folder(folder: Path) -> None:
+    """Create the folder, or make sure that an existing one can be written to.
+
+    Raises:
+        SlamError: it cannot be created or written to, or it holds a recording.
+    """
+    if (folder / "rgb.txt").exists():
+        raise SlamError(
+            f"the outputs would replace files of the recording in this folder; choose another with"
+            f" --out: {folder}"
+        )
+    probe = folder / f".{uuid.uuid4().hex}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise SlamError(
+            f"cannot write to the output folder (choose another with --out): {error.strerror}:"
+            f" {folder}"
+        ) from error
+
+
+def write_run(
+    folder: Path,
+    result: SlamResult,
+    drift: DriftReport | None,
+    truth: Trajectory | None,
+    config: Config,
+    title: str,
+    command: str,
+) -> None:
+    """Write every output of a run; what cannot be computed again comes first.
+
+    Files that an earlier run left there and this one does not make are removed.
+
+    Args:
+        folder: as made by `make_run_folder`.
+        result: the run.
+        drift: its comparison with the truth, or None where there is none.
+        truth: true camera poses, or None where there are none.
+        config: the settings it ran with.
+        title: what the report calls it.
+        command: what was typed, settings apart; it heads settings.toml and the summary.
+
+    Raises:
+        SlamError: a file cannot be written; those before it are complete.
+    """
+    if (folder / "summary.json").exists():
+        for name in ("groundtruth.txt", "map.ply"):  # this run may not make them
+            (folder / name).unlink(missing_ok=True)
+    settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
+    keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
+    has_place = np.isfinite(result.T_world_kf[:, 0, 0])
+    write_tum(folder / "trajectory.txt", result.trajectory)
+    write_tum(folder / "odometry.txt", result.odometry)
+    write_tum(
+        folder / "keyframes.txt", Trajectory(keyframe_s[has_place], result.T_world_kf[has_place])
+    )
+    if truth is not None:
+        write_tum(folder / "groundtruth.txt", truth)
+    write_ledger(folder / "loops.jsonl", result, drift)
+    write_g2o(folder / "pose_graph.g2o", result.T_world_kf, _motions(result))
+    write_atomically(folder / "settings.toml", settings)
+    summary = json.dumps({"command": command, **summarise(result, drift)}, indent=2)
+    write_atomically(folder / "summary.json", summary + "\n")
+    write_report(folder / "report.html", result, drift, settings, title, truth)
+    if config.map.write:
+        write_map(folder / "map.ply", result, config.map)
+
+
+def _motions(result: SlamResult) -> list[Link]:
+    loops = [
+        Link(attempt.match_id, attempt.query_id, attempt.outcome)
+        for attempt in result.attempts
+        if isinstance(attempt.outcome, RelativePose) and final_rejection(attempt) is None
+    ]
+    return [*result.links, *loops]

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run found out."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placerec.certificate import Certificate
+from slam.types import Camera, FloatArray, Keyframe, Link, LoopAttempt, Trajectory
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the recognizer was calibrated on, and how similar it found what it met.
+
+    Attributes:
+        certificate: the recognizer's own.
+        live_similarities: (M,) float32, similarities of all pairs of keyframes that could be loops.
+    """
+
+    certificate: Certificate
+    live_similarities: NDArray[np.float32]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence where the two are too unlike for the threshold to be trusted, else none."""
+        warning = self.certificate.outside_calibrated_range(self.live_similarities)
+        return () if warning is None else (warning,)
+
+    @property
+    def passing(self) -> float:
+        """Share of the live pairs that reach the calibrated `min_similarity`, NaN without pairs."""
+        return self._share(self.live_similarities >= self.certificate.min_similarity)
+
+    @property
+    def outside(self) -> float:
+        """Share of the live pairs outside the calibrated range, NaN without pairs."""
+        low, high = self.certificate.calibrated_range
+        return self._share((self.live_similarities < low) | (self.live_similarities > high))
+
+    def _share(self, chosen: NDArray[np.bool_]) -> float:
+        return float(chosen.mean()) if chosen.size else np.nan
+
+
+@dataclass(frozen=True)
+class SlamResult:
+    """Everything a run found out.
+
+    Attributes:
+        camera: the camera it was run with.
+        keyframes: the K keyframes in order of time.
+        T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
+        odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
+        trajectory: the same, corrected. Both are smoothed where the camera was tracked here.
+        links: odometry and co-visibility motions of the pose graph.
+        attempts: every loop candidate in the order it was looked at, with its final weight.
+        similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
+        min_similarity: the threshold from which candidates were verified.
+        untracked_s: timestamps of the frames that are in no trajectory: lost, not joined, or later
+            than a failure of the recognizer.
+        stage_seconds: total wall time per stage, in the order of the pipeline; some overlap.
+        warnings: what a user should know before trusting the result; one sentence each.
+        calibration: where the recognizer's threshold comes from, None where nobody says so.
+        unjoined_s: those of the untracked frames that are in a part that was not joined.
+        session_starts_s: timestamp of the first frame of each session after the first.
+        elapsed_s: wall time of the whole run, waiting for frames included.
+    """
+
+    camera: Camera
+    keyframes: tuple[Keyframe, ...]
+    T_world_kf: FloatArray
+    odometry: Trajectory
+    trajectory: Trajectory
+    links: tuple[Link, ...]
+    attempts: tuple[LoopAttempt, ...]
+    similarities: NDArray[np.float32]
+    min_similarity: float
+    untracked_s: FloatArray
+    stage_seconds: dict[str, float]
+    warnings: tuple[str, ...]
+    calibration: Calibration | None = None
+    unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    elapsed_s: float = 0.0

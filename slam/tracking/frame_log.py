@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which frame rides on which keyframe: it is corrected when the keyframe is."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
+
+
+def check_frame(frame: Frame, camera: Camera, last_s: float) -> None:
+    """Refuse a frame that cannot follow on one taken at last_s by this camera.
+
+    Raises:
+        SlamError: the frame is not of the camera's size, or the time does not increase.
+    """
+    if not last_s < frame.timestamp_s < np.inf:
+        raise SlamError(
+            f"frames must come in the order of time: {frame.timestamp_s:.6f} s after {last_s:.6f} s"
+        )
+    wanted = (camera.height, camera.width)
+    if frame.rgb.dtype != np.uint8:
+        raise SlamError(
+            f"the frame at {frame.timestamp_s:.6f} s has {frame.rgb.dtype} colours, not uint8"
+        )
+    if frame.rgb.shape != (*wanted, 3) or frame.depth_m.shape != wanted:
+        raise SlamError(
+            f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"
+            f" {frame.depth_m.shape}, but the camera makes {(*wanted, 3)} and {wanted}"
+        )
+
+
+def checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
+    """Return a copy of a pose, since callers reuse their matrix.
+
+    Raises:
+        SlamError: it is not a rigid (4, 4) transform.
+    """
+    T = np.array(T_odom_cam, dtype=np.float64)
+    is_affine = T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])
+    R = T[:3, :3] if is_affine else np.zeros((3, 3))
+    if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0):
+        raise SlamError(
+            f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
+        )
+    return T
+
+
+@dataclass(frozen=True)
+class _Ride:
+    timestamp_s: float
+    keyframe_id: int
+    T_kf_cam: FloatArray
+
+
+class Rides:
+    """Every frame of a run: placed against a keyframe, or lost."""
+
+    def __init__(self) -> None:
+        self._rides: list[_Ride] = []
+        self._lost_s: list[float] = []
+
+    def add(self, timestamp_s: float, keyframe_id: int, T_kf_cam: FloatArray) -> None:
+        """Remember a frame by its (4, 4) place in a keyframe's camera frame."""
+        self._rides.append(_Ride(timestamp_s, keyframe_id, T_kf_cam))
+
+    def lose(self, timestamp_s: float) -> None:
+        """Remember a frame that could not be placed."""
+        self._lost_s.append(timestamp_s)
+
+    def per_keyframe(self) -> Counter[int]:
+        """Return how many frames ride on each keyframe id."""
+        return Counter(ride.keyframe_id for ride in self._rides)
+
+    def trajectory(self, T_any_kf: FloatArray) -> Trajectory:
+        """Return the frames whose keyframe is among (K, 4, 4) poses and not NaN there."""
+        rides = [
+            ride for ride in self._on(T_any_kf) if np.isfinite(T_any_kf[ride.keyframe_id, 0, 0])
+        ]
+        return Trajectory(
+            timestamps_s=np.array([ride.timestamp_s for ride in rides]),
+            T_world_cam=np.array([T_any_kf[ride.keyframe_id] @ ride.T_kf_cam for ride in rides]),
+        )
+
+    def unjoined_s(self, T_any_kf: FloatArray) -> FloatArray:
+        """Return when the frames were taken whose keyframe is NaN among (K, 4, 4) poses."""
+        rides = [ride for ride in self._on(T_any_kf) if np.isnan(T_any_kf[ride.keyframe_id, 0, 0])]
+        return np.array([ride.timestamp_s for ride in rides])
+
+    def untracked_s(self, T_any_kf: FloatArray) -> FloatArray:
+        """Return when all frames were taken that have no place, in the order of time.
+
+        Those of keyframes that (K, 4, 4) poses leave out are among them.
+        """
+        left_out_s = [ride.timestamp_s for ride in self._rides if ride.keyframe_id >= len(T_any_kf)]
+        return np.sort(np.concatenate([self._lost_s, self.unjoined_s(T_any_kf), left_out_s]))
+
+    def warnings(self, T_any_kf: FloatArray) -> tuple[str, ...]:
+        """Return a sentence about the frames that were lost, and one about those not joined."""
+        total, warnings = len(self._lost_s) + len(self._rides), []
+        if self._lost_s:
+            warnings.append(
+                f"{len(self._lost_s)} of {total} frames could not be tracked and are in no"
+                f" trajectory; the first at {self._lost_s[0]:.3f} s"
+            )
+        unjoined_s = self.unjoined_s(T_any_kf)
+        if len(unjoined_s):
+            warnings.append(
+                f"{len(unjoined_s)} of {total} frames, from {unjoined_s[0]:.3f} s to"
+                f" {unjoined_s[-1]:.3f} s, were tracked apart from the rest and are in no"
+                f" trajectory: too few loops agree where they belong{self._beginning(T_any_kf)}"
+            )
+        return tuple(warnings)
+
+    def _beginning(self, T_any_kf: FloatArray) -> str:
+        start_s = self.trajectory(T_any_kf).timestamps_s[0]
+        if start_s == self._rides[0].timestamp_s:
+            return ""
+        return f"; the map is the part with the most frames, which begins at {start_s:.3f} s"
+
+    def _on(self, T_any_kf: FloatArray) -> list[_Ride]:
+        return [ride for ride in self._rides if ride.keyframe_id < len(T_any_kf)]

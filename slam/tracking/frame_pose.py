@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a view was taken: landmarks are looked for in it, and the pose follows from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.config import VerificationConfig
+from slam.geometry.feature_grid import FeatureGrid
+from slam.geometry.refinement import refine_pose
+from slam.geometry.relative_pose import pose_by_ransac
+from slam.geometry.reprojection import Measurements
+from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.landmarks import IntArray
+from slam.types import Features, FloatArray, Frame, Rejection, RejectionReason
+
+_RADIUS_PX = 4.0  # how far from its place a landmark is looked for once the pose is known
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame and the features in it, ready to be searched."""
+
+    frame: Frame
+    features: Features
+    grid: FeatureGrid
+
+    @property
+    def with_depth(self) -> int:
+        """How many features have depth."""
+        return int(np.count_nonzero(np.isfinite(self.features.depth_m)))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a view was taken, and why that is believed.
+
+    Attributes:
+        T_map_cam: (4, 4).
+        pairs: (M, 2) int, landmark id and feature, those that agree.
+        hessian: (6, 6) of the pose, for a tangent on its right.
+    """
+
+    T_map_cam: FloatArray
+    pairs: IntArray
+    hessian: FloatArray
+
+
+def agreed_pose(
+    the_map: LandmarkMap, view: View, pairs: IntArray, config: VerificationConfig
+) -> FloatArray | Rejection:
+    """Return the T_map_cam that most of (M, 2) pairs (landmark id, feature) agree on.
+
+    In a fast turn a third of the pairs near a predicted pose are wrong, all in the same direction:
+    a least-squares fit that begins there would follow them.
+    """
+    if len(pairs) < config.min_matches:
+        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), config.min_matches)
+    points_m = the_map.landmarks.positions_m[pairs[:, 0]]
+    pixels = view.features.undistorted_px[pairs[:, 1]]
+    found = pose_by_ransac(points_m, pixels, the_map.camera, config)
+    if found is None:
+        return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers)
+    T_map_cam, inlier_mask = found
+    inliers = int(np.count_nonzero(inlier_mask))
+    if inliers < config.min_inliers:
+        return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
+    measured = Measurements.of(view.features, pairs[inlier_mask, 1], the_map.camera)
+    return refine_pose(T_map_cam, points_m[inlier_mask], measured, the_map.camera).T_world_cam
+
+
+def look_around(
+    the_map: LandmarkMap,
+    view: View,
+    T_map_cam: FloatArray,
+    ids: IntArray,
+    config: VerificationConfig,
+) -> Placement | Rejection:
+    """Look for landmarks close to where they should be, and let all of them refine the pose.
+
+    Args:
+        the_map: what is looked for.
+        view: where it is looked for.
+        T_map_cam: (4, 4), known already, more or less.
+        ids: (P,) the landmarks that may be in sight.
+        config: how many have to be found.
+    """
+    pairs = the_map.search(view.grid, T_map_cam, ids, _RADIUS_PX)
+    measured = Measurements.of(view.features, pairs[:, 1], the_map.camera)
+    points_m = the_map.landmarks.positions_m[pairs[:, 0]]
+    refined = refine_pose(T_map_cam, points_m, measured, the_map.camera)
+    inliers = int(np.count_nonzero(refined.inlier_mask))
+    if inliers < config.min_inliers:
+        return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
+    return Placement(refined.T_world_cam, pairs[refined.inlier_mask], refined.hessian)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+import shutil
+from datetime import date
+
+import numpy as np
+import pytest
+
+from placerec.errors import RecognizerError
+from placerec.evaluation import embeddings as embedding_cache
+from placerec.evaluation.embeddings import EmbeddingCache, fingerprint_of
+
+
+class Marked:
+    min_similarity = 0.5
+
+    def __init__(self, fingerprint="one"):
+        self.fingerprint = fingerprint
+
+
+class Other(Marked):
+    pass
+
+
+VECTOR = np.array([0.6, 0.8], np.float32)
+
+
+@pytest.fixture
+def image(tmp_path, write_image):
+    return write_image(tmp_path / "image.png")
+
+
+def test_what_was_kept_is_found_again_with_its_time_and_day(tmp_path, image):
+    assert EmbeddingCache(Marked(), tmp_path).find(image) is None
+    EmbeddingCache(Marked(), tmp_path).keep(image, VECTOR, 0.25)
+    kept = EmbeddingCache(Marked(), tmp_path).find(image)
+    assert kept.vector.tobytes() == VECTOR.tobytes()
+    assert kept.seconds == 0.25
+    assert kept.made_on is None
+
+
+def test_arrays_of_any_shape_are_kept(tmp_path, image):
+    regions = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    EmbeddingCache(Marked(), tmp_path).keep(image, regions, 0.25)
+    kept = EmbeddingCache(Marked(), tmp_path).find(image).vector
+    assert kept.dtype == np.float32
+    assert np.array_equal(kept, regions)
+
+
+def test_what_an_earlier_run_made_tells_its_day(tmp_path, image, later_run):
+    EmbeddingCache(Marked(), tmp_path).keep(image, VECTOR, 0.25)
+    later_run()
+    made_on = EmbeddingCache(Marked(), tmp_path).find(image).made_on
+    assert abs((made_on - date.today()).days) <= 1
+
+
+def test_the_content_counts_not_the_name(tmp_path, image, write_image):
+    cache = EmbeddingCache(Marked(), tmp_path)
+    cache.keep(image, VECTOR, 0.25)
+    assert cache.find(shutil.copy(image, tmp_path / "moved.png")) is not None
+    write_image(image, seed=1)
+    assert cache.find(image) is None
+
+
+@pytest.mark.parametrize("recognizer", [Marked("two"), Other("one")])
+def test_another_recognizer_finds_nothing(tmp_path, image, recognizer):
+    EmbeddingCache(Marked("one"), tmp_path).keep(image, VECTOR, 0.25)
+    assert EmbeddingCache(recognizer, tmp_path).find(image) is None
+
+
+def test_another_version_of_a_library_finds_nothing(tmp_path, image, monkeypatch):
+    EmbeddingCache(Marked(), tmp_path).keep(image, VECTOR, 0.25)
+    monkeypatch.setattr(embedding_cache, "version", lambda library: "another")
+    assert EmbeddingCache(Marked(), tmp_path).find(image) is None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: content[:-1],
+        lambda content: content[:40],
+        lambda content: content[:-1] + bytes([content[-1] ^ 1]),
+        lambda content: content + b"\0\0\0\0",
+    ],
+)
+def test_a_damaged_entry_is_no_entry_and_is_replaced(tmp_path, image, damage):
+    cache = EmbeddingCache(Marked(), tmp_path)
+    cache.keep(image, VECTOR, 0.25)
+    (file,) = (path for path in (tmp_path / "embeddings").rglob("*") if path.is_file())
+    file.write_bytes(damage(file.read_bytes()))
+    assert cache.find(image) is None
+    cache.keep(image, VECTOR, 0.5)
+    assert cache.find(image).seconds == 0.5
+
+
+def test_where_nothing_can_be_kept_nothing_is_said(tmp_path, image):
+    (tmp_path / "embeddings").write_text("a file where the folder should be")
+    cache = EmbeddingCache(Marked(), tmp_path)
+    cache.keep(image, VECTOR, 0.25)
+    assert cache.find(image) is None
+
+
+def test_a_missing_image_is_found_missing_by_whoever_reads_it(tmp_path):
+    assert EmbeddingCache(Marked(), tmp_path).find(tmp_path / "missing.png") is None
+
+
+def test_without_a_fingerprint_there_is_no_cache(tmp_path):
+    assert fingerprint_of(Marked()) == "one"
+    for fingerprint in (None, 5):
+        assert fingerprint_of(Marked(fingerprint)) is None
+        with pytest.raises(RecognizerError, match="'Marked' has no fingerprint"):
+            EmbeddingCache(Marked(fingerprint), tmp_path)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+import errno
+import os
+
+import pytest
+
+from placerec.files import write_atomically
+from slam.types import SlamError
+
+
+def names_in(folder):
+    return [path.name for path in folder.iterdir()]
+
+
+@pytest.mark.parametrize(("data", "content"), [("Weg ä\n", "Weg ä\n".encode()), (b"\0\1", b"\0\1")])
+def test_writes_text_and_bytes_and_leaves_nothing_else(tmp_path, data, content):
+    path = tmp_path / "out.txt"
+    path.write_text("an older and longer file")
+    write_atomically(path, data)
+    assert path.read_bytes() == content
+    assert names_in(tmp_path) == ["out.txt"]
+
+
+def test_others_may_read_what_the_user_lets_them_read(tmp_path):
+    (tmp_path / "plain").touch()
+    write_atomically(tmp_path / "out", b"")
+    assert (tmp_path / "out").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
+def test_a_failed_write_keeps_the_earlier_file(tmp_path, monkeypatch, code):
+    def fail(descriptor):
+        raise OSError(code, os.strerror(code))
+
+    path = tmp_path / "out.txt"
+    path.write_text("earlier")
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(SlamError) as caught:
+        write_atomically(path, "later")
+    assert os.strerror(code) in str(caught.value)
+    assert str(caught.value).endswith(str(path))
+    assert "\n" not in str(caught.value)
+    assert path.read_text() == "earlier"
+    assert names_in(tmp_path) == ["out.txt"]
+
+
+def test_an_interrupted_write_leaves_nothing_behind(tmp_path, monkeypatch):
+    def interrupt(descriptor):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / "out.txt", "later")
+    assert names_in(tmp_path) == []
+
+
+def test_a_missing_folder_and_a_folder_in_the_way(tmp_path):
+    with pytest.raises(SlamError, match="No such file or directory"):
+        write_atomically(tmp_path / "absent" / "out.txt", "")
+    (tmp_path / "out.txt").mkdir()
+    with pytest.raises(SlamError, match=r"cannot write out\.txt"):
+        write_atomically(tmp_path / "out.txt", "")
+    assert names_in(tmp_path) == ["out.txt"]

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.config import EvaluationConfig
+from slam.evaluation.drift import compare_drift, coverage, judge_loops, trajectory_error
+from slam.evaluation.trajectory import read_tum
+from slam.geometry import se3
+from slam.types import (
+    Features,
+    Frame,
+    Keyframe,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    SlamError,
+    Trajectory,
+    Verification,
+)
+
+CONFIG = EvaluationConfig()
+SHARED = Path(__file__).parents[4] / "shared" / "data"
+FR1_DESK = Path(os.environ.get("LOOPCLOSE_DATA", SHARED)) / "rgbd_dataset_freiburg1_desk"
+
+
+def moved(x=0.0, y=0.0, z=0.0, turn_deg=0.0):
+    """A pose at x, y, z, turned about the z axis."""
+    T = se3.exp(np.array([0.0, 0.0, np.deg2rad(turn_deg), 0.0, 0.0, 0.0]))
+    T[:3, 3] = [x, y, z]
+    return T
+
+
+def along(stamps_s, poses):
+    return Trajectory(np.asarray(stamps_s, dtype=np.float64), np.stack(poses))
+
+
+def square(stamps_s=(0.0, 1.0, 2.0, 3.0)):
+    return along(stamps_s, [moved(1.0, 0.0), moved(0.0, 1.0), moved(-1.0, 0.0), moved(0.0, -1.0)])
+
+
+def keyframe(index, timestamp_s):
+    nothing = np.zeros((0, 2))
+    features = Features(
+        nothing,
+        nothing,
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 32), dtype=np.uint8),
+        np.zeros(0),
+        np.zeros((0, 3)),
+    )
+    preview = Frame(
+        timestamp_s, np.zeros((1, 1, 3), dtype=np.uint8), np.zeros((1, 1), dtype=np.float32)
+    )
+    return Keyframe(index, timestamp_s, np.eye(4), features, preview)
+
+
+def attempt(T_match_query, query_id=1, match_id=0, weight=None):
+    motion = RelativePose(T_match_query, np.eye(6))
+    seen = Verification(motion, np.zeros((3, 4)), np.ones(3, dtype=np.bool_))
+    return LoopAttempt(query_id, match_id, 0.9, seen, motion, weight)
+
+
+def rejected(reason, verification=None):
+    return LoopAttempt(1, 0, 0.1, verification, Rejection(reason, 0.1, 0.5))
+
+
+def test_a_moved_copy_of_the_truth_has_no_error():
+    truth = square()
+    T_world_truth = se3.exp(np.array([0.3, -0.5, 1.2, 4.0, 5.0, 6.0]))
+    error = trajectory_error(
+        Trajectory(truth.timestamps_s, T_world_truth @ truth.T_world_cam), truth, CONFIG
+    )
+    np.testing.assert_allclose(error.T_truth_world, se3.inverse(T_world_truth), atol=1e-12)
+    assert error.ate_rmse_m == pytest.approx(0.0, abs=1e-12)
+    assert error.rpe_translation_m == pytest.approx(0.0, abs=1e-12)
+    assert error.rpe_rotation_deg == pytest.approx(0.0, abs=1e-6)
+    assert error.matched_share == 1.0
+
+
+def test_figures_of_a_square_walked_in_too_large_steps():
+    # Corners 1 m from the centre, estimated 1.5 m from it: each is off by 0.5 m whatever the
+    # alignment, since none adjusts the scale. Sides are sqrt(2) and estimated as 1.5 sqrt(2).
+    truth = square()
+    estimate = square()
+    estimate.T_world_cam[:, :3, 3] *= 1.5
+    error = trajectory_error(estimate, truth, CONFIG)
+    np.testing.assert_allclose(error.position_errors_m, 0.5)
+    assert error.ate_rmse_m == pytest.approx(0.5)
+    assert error.rpe_translation_m == pytest.approx(0.5 * math.sqrt(2.0))
+    assert error.rpe_rotation_deg == pytest.approx(0.0, abs=1e-6)
+
+
+def test_relative_error_is_the_root_mean_square_over_all_pairs_of_the_interval():
+    # Steps of 1 m are estimated as 1 m, 1.3 m and 1 m with a turn of 9 degrees at the end.
+    truth = along([0.0, 1.0, 2.0, 3.0], [moved(x) for x in (0.0, 1.0, 2.0, 3.0)])
+    estimate = along(
+        [0.0, 1.0, 2.0, 3.0], [moved(0.0), moved(1.0), moved(2.3), moved(3.3, turn_deg=9.0)]
+    )
+    error = trajectory_error(estimate, truth, CONFIG)
+    assert error.rpe_translation_m == pytest.approx(0.3 / math.sqrt(3.0))
+    assert error.rpe_rotation_deg == pytest.approx(9.0 / math.sqrt(3.0))
+    over_two = trajectory_error(estimate, truth, EvaluationConfig(rpe_interval_s=2.0))
+    assert over_two.rpe_translation_m == pytest.approx(0.3)  # 0-2 and 1-3
+    assert over_two.rpe_rotation_deg == pytest.approx(9.0 / math.sqrt(2.0))
+
+
+@pytest.mark.parametrize("interval_s", [10.0, 0.01], ids=["too long", "within the tolerance"])
+def test_relative_error_over_an_interval_without_two_frames_is_unknown(interval_s):
+    error = trajectory_error(square(), square(), EvaluationConfig(rpe_interval_s=interval_s))
+    assert math.isnan(error.rpe_translation_m)
+    assert math.isnan(error.rpe_rotation_deg)
+
+
+def test_pairs_of_the_interval_must_be_that_far_apart_in_time():
+    # 0 to 1.01 is near enough to 1 s, 1.01 to 2.1 and 2.1 to 3.2 are not.
+    truth = along([0.0, 1.01, 2.1, 3.2], [moved(0.0), moved(1.0), moved(2.0), moved(3.0)])
+    estimate = along(truth.timestamps_s, [moved(0.0), moved(1.2), moved(9.0), moved(5.0)])
+    assert trajectory_error(estimate, truth, CONFIG).rpe_translation_m == pytest.approx(0.2)
+
+
+def test_only_poses_with_truth_in_time_are_compared():
+    stamps_s = [0.01, 1.01, 2.01, 3.01, 3.5]
+    poses = [*square().T_world_cam, moved(100.0)]
+    error = trajectory_error(along(stamps_s, poses), square(), CONFIG)
+    np.testing.assert_array_equal(error.timestamps_s, stamps_s[:4])
+    assert error.ate_rmse_m == pytest.approx(0.0, abs=1e-12)
+    assert error.matched_share == 0.8
+
+
+def test_too_few_matches_name_gap_and_tolerance():
+    with pytest.raises(SlamError, match=r"only 0 of 4 .* gap is 0\.25 s, the tolerance 0\.02 s"):
+        trajectory_error(square([3.25, 4.25, 5.25, 6.25]), square(), CONFIG)
+    with pytest.raises(SlamError, match=r"only 2 of 4 .* 3 are needed"):
+        trajectory_error(square([2.0, 3.0, 4.0, 5.0]), square(), CONFIG)
+    nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    with pytest.raises(SlamError, match="holds no poses"):
+        trajectory_error(nothing, square(), CONFIG)
+
+
+def test_coverage_counts_ends_and_gaps_of_the_truth():
+    estimate = along([0.0, 10.0], [np.eye(4)] * 2)
+
+    def truth_at(*stamps_s):
+        return along(stamps_s, [np.eye(4)] * len(stamps_s))
+
+    assert coverage(estimate, truth_at(*np.arange(-8, 48) * 0.25)) == 1.0
+    assert coverage(estimate, truth_at(*np.arange(8, 48) * 0.25)) == pytest.approx(0.8)
+    with_gap = [*np.arange(0, 13) * 0.25, *np.arange(20, 41) * 0.25]  # nothing from 3 s to 5 s
+    assert coverage(estimate, truth_at(*with_gap)) == pytest.approx(0.8)
+    assert coverage(estimate, truth_at(-3.0, -2.75)) == 0.0
+
+
+TRUE_MOTION = moved(0.3, 0.4, turn_deg=20.0)
+KEYFRAMES = (keyframe(0, 0.0), keyframe(1, 5.0), keyframe(2, 7.5))
+T_MOCAP = se3.exp(np.array([0.7, -0.2, 0.4, 3.0, 2.0, 1.0]))
+LOOP_TRUTH = along([0.01, 5.01, 7.0], [T_MOCAP, T_MOCAP @ TRUE_MOTION, T_MOCAP])
+
+
+def judged(*attempts):
+    return judge_loops(attempts, KEYFRAMES, LOOP_TRUTH, CONFIG)
+
+
+def test_a_right_loop_is_not_false():
+    (loop,) = judged(attempt(TRUE_MOTION @ moved(0.03, 0.04, turn_deg=2.0)))
+    assert loop.translation_error_m == pytest.approx(0.05)
+    assert loop.rotation_error_deg == pytest.approx(2.0)
+    assert loop.true_distance_m == pytest.approx(0.5)
+    assert loop.true_angle_deg == pytest.approx(20.0)
+    assert loop.is_false is False
+
+
+@pytest.mark.parametrize("off", [moved(0.11), moved(turn_deg=5.1)])
+def test_a_loop_off_in_place_or_in_angle_is_false(off):
+    assert judged(attempt(TRUE_MOTION @ off))[0].is_false is True
+    assert judged(attempt(se3.inverse(TRUE_MOTION)))[0].is_false is True
+
+
+def test_loops_that_are_not_in_use_are_not_false():
+    wrong = attempt(moved(5.0))
+    by_graph = rejected(RejectionReason.OUTVOTED, wrong.verification)
+    by_similarity, outvoted, ignored = judged(
+        rejected(RejectionReason.LOW_SIMILARITY), by_graph, attempt(moved(5.0), weight=0.0)
+    )
+    assert math.isnan(by_similarity.translation_error_m)
+    assert by_similarity.true_distance_m == pytest.approx(0.5)
+    assert outvoted.translation_error_m == ignored.translation_error_m > 4.0
+    assert by_similarity.is_false is outvoted.is_false is ignored.is_false is None
+
+
+def test_loops_without_truth_at_both_keyframes_are_unknown():
+    (loop,) = judged(attempt(TRUE_MOTION, query_id=2))
+    assert loop.is_false is None
+    assert math.isnan(loop.true_distance_m)
+    assert math.isnan(loop.translation_error_m)
+
+
+def test_report_before_and_after():
+    truth = square((0.0, 0.5, 1.0, 1.5))
+    odometry = square(truth.timestamps_s)
+    odometry.T_world_cam[:, :3, 3] *= 1.5
+    keyframes = (keyframe(0, 0.0), keyframe(1, 1.5))
+    report = compare_drift(odometry, truth, truth, [attempt(np.eye(4))], keyframes, CONFIG)
+    assert report.before.ate_rmse_m == pytest.approx(0.5)
+    assert report.after.ate_rmse_m == pytest.approx(0.0, abs=1e-12)
+    assert report.truth_length_m == pytest.approx(3.0 * math.sqrt(2.0))
+    assert report.coverage == 1.0
+    assert (report.tolerance_s, report.rpe_interval_s) == (0.02, 1.0)
+    assert [loop.is_false for loop in report.loops] == [True]
+
+
+def test_figures_agree_with_evo():
+    metrics = pytest.importorskip("evo.core.metrics", reason="evo, the oracle, is not installed")
+    evo_sync = pytest.importorskip("evo.core.sync")
+    evo_trajectory = pytest.importorskip("evo.core.trajectory")
+    if not (FR1_DESK / "groundtruth.txt").is_file():
+        pytest.skip(f"no fr1_desk ground truth at {FR1_DESK}")
+    poses = read_tum(FR1_DESK / "groundtruth.txt").T_world_cam[:1500]
+    truth = Trajectory(1000.0 + 0.01 * np.arange(len(poses)), poses)
+    rng = np.random.default_rng(4)
+    noise = [se3.exp(rng.normal(0.0, 0.02, 6)) for _ in poses[::3]]
+    estimate = Trajectory(truth.timestamps_s[::3] + 0.003, poses[::3] @ np.stack(noise))
+    ours = trajectory_error(estimate, truth, EvaluationConfig(rpe_interval_s=0.9))
+
+    def evo_path(trajectory):
+        return evo_trajectory.PoseTrajectory3D(
+            poses_se3=list(trajectory.T_world_cam), timestamps=trajectory.timestamps_s
+        )
+
+    pair = evo_sync.associate_trajectories(evo_path(truth), evo_path(estimate), max_diff=0.02)
+    assert pair[0].num_poses == len(ours.timestamps_s) == len(estimate)
+    pair[1].align(pair[0])
+    relation = metrics.PoseRelation
+
+    def rmse(metric):
+        metric.process_data(pair)
+        return metric.get_statistic(metrics.StatisticsType.rmse)
+
+    def rpe(part):
+        return metrics.RPE(part, delta=30, delta_unit=metrics.Unit.frames, all_pairs=True)
+
+    assert ours.ate_rmse_m == pytest.approx(rmse(metrics.APE(relation.translation_part)), rel=1e-9)
+    assert ours.rpe_translation_m == pytest.approx(rmse(rpe(relation.translation_part)), rel=1e-9)
+    angle = relation.rotation_angle_deg
+    assert ours.rpe_rotation_deg == pytest.approx(rmse(rpe(angle)), rel=1e-9)
+
+
+def test_the_breaks_between_sessions_need_no_truth():
+    estimate = along([0.0, 10.0, 500.0, 530.0], [np.eye(4)] * 4)
+    stamps_s = [*np.arange(0, 41) * 0.25, *np.arange(2040, 2121) * 0.25]  # from 510 s on
+    truth = along(stamps_s, [np.eye(4)] * len(stamps_s))
+    assert coverage(estimate, truth, [500.0]) == pytest.approx(0.75)
+    assert coverage(estimate, truth, [500.0, 600.0]) == pytest.approx(0.75)
+    assert coverage(estimate, truth) < 0.1
+
+
+def test_the_way_between_sessions_is_no_part_of_the_path():
+    stamps_s = [0.0, 1.0, 100.0, 101.0]
+    path = along(stamps_s, [moved(x) for x in (0.0, 1.0, 50.0, 51.0)])
+    for starts_s, length_m in (((), 51.0), ((100.0,), 2.0)):
+        report = compare_drift(path, path, path, (), (), CONFIG, starts_s)
+        assert report.truth_length_m == pytest.approx(length_m)

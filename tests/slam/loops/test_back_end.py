@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placerec.errors import RecognizerError
+from placerec.recognizers.gradients import GradientRecognizer
+from slam.config import Config, LoopConfig
+from slam.geometry.features import FeatureExtractor
+from slam.loops.back_end import BackEnd
+from slam.pose_graph import PoseGraph
+from slam.stage_clock import StageClock
+from slam.types import (
+    Camera,
+    Keyframe,
+    Link,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    SlamError,
+    preview,
+)
+
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+INFORMATION = np.diag([1e6] * 3 + [1e5] * 3)
+
+
+class Gate(GradientRecognizer):
+    """Works only when it is let, and fails when it is told to."""
+
+    def __init__(self):
+        self.is_open = threading.Event()
+        self.is_open.set()
+        self.asked = 0
+        self.fails_at = 0
+
+    def embed(self, image):
+        assert self.is_open.wait(10.0)
+        self.asked += 1
+        return np.full(496, np.nan) if self.asked == self.fails_at else super().embed(image)
+
+
+def back_end(recognizer, **loop):
+    return BackEnd(CAMERA, recognizer, Config(loop=LoopConfig(**loop)), StageClock())
+
+
+@pytest.fixture(scope="module")
+def keyframes(frames):
+    """Return keyframes 3 s apart that all show the first frame's place, and their images."""
+    features = FeatureExtractor(CAMERA, Config().features).extract(frames[0])
+    return [
+        (Keyframe(k, 3.0 * k, np.eye(4), features, preview(frames[0])), frames[0].rgb)
+        for k in range(4)
+    ]
+
+
+def links(keyframe):
+    if not keyframe.id:
+        return ()
+    return (Link(keyframe.id - 1, keyframe.id, RelativePose(np.eye(4), INFORMATION)),)
+
+
+def test_who_inserts_does_not_wait_for_the_answer(keyframes):
+    gate = Gate()
+    behind = back_end(gate)
+    gate.is_open.clear()
+    keyframe, rgb = keyframes[0]
+    behind.insert(keyframe, (), rgb)
+    assert behind.keyframes == []
+    gate.is_open.set()
+    assert behind.settle() == ()
+    assert behind.keyframes == [keyframe]
+
+
+def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    solved = behind.solve()
+    assert behind.keyframes == [keyframe for keyframe, _ in keyframes]
+    assert {(each.match_id, each.query_id) for each in solved.attempts} == {(0, 2), (0, 3), (1, 3)}
+    assert solved.trusted_pairs() == [(each.match_id, each.query_id) for each in solved.attempts]
+    np.testing.assert_allclose(solved.T_world_kf, np.tile(np.eye(4), (4, 1, 1)), atol=1e-3)
+    assert behind.similarities().shape == (4, 4)
+
+
+def test_loops_that_lost_are_not_trusted(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    for keyframe, rgb in keyframes[:3]:
+        far = np.eye(4)
+        far[0, 3] = 2.0
+        motion = RelativePose(far, INFORMATION)
+        tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
+        behind.insert(keyframe, tie, rgb)
+    solved = behind.solve()
+    assert len(solved.attempts) == 1 and solved.trusted_pairs() == []
+
+
+def test_one_loop_to_another_segment_is_of_no_use_and_a_second_makes_it_one(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    (first, rgb), (second, _), (third, _) = keyframes[:3]
+    behind.insert(first, (), rgb)
+    behind.insert(replace(second, segment=1), (), rgb)
+    solved = behind.solve({0: 1, 1: 2})
+    (alone,) = solved.attempts
+    assert alone.outcome == Rejection(RejectionReason.UNJOINED, 1, 2) and alone.weight is None
+    assert isinstance(alone.verification.outcome, RelativePose)  # what geometry saw stays known
+    assert np.isnan(solved.T_world_kf[0]).all() and np.isfinite(solved.T_world_kf[1]).all()
+    assert solved.trusted_pairs() == []
+    motion = RelativePose(np.eye(4), INFORMATION)
+    behind.insert(replace(third, segment=1), (Link(1, 2, motion),), rgb)
+    solved = behind.solve()
+    assert np.isfinite(solved.T_world_kf).all()
+    assert solved.trusted_pairs() == [(0, 1), (0, 2)]
+    assert [(link.ref_id, link.query_id) for link in solved.links] == [(0, 1), (1, 2)]
+
+
+def drifting(keyframes):
+    """Return the keyframes, in truth all at one place, as an odometry that drifts sees them."""
+    step = np.eye(4)
+    step[0, 3] = 0.02
+    T_odom_cam = [np.linalg.matrix_power(step, each.id) for each, _ in keyframes]
+    motion = RelativePose(step, np.diag([1e4] * 3 + [1e3] * 3))
+    for (keyframe, rgb), T in zip(keyframes, T_odom_cam, strict=True):
+        tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
+        yield replace(keyframe, T_odom_cam=T), tie, rgb
+
+
+def test_the_correction_is_known_to_who_asks_and_costs_nobody_else(keyframes, monkeypatch):
+    updates = []
+    monkeypatch.setattr(PoseGraph, "update", _counted(PoseGraph.update, updates))
+    behind, unasked = back_end(Gate(), min_gap_s=4.0), back_end(Gate(), min_gap_s=4.0)
+    with pytest.raises(SlamError, match="no keyframe yet"):
+        behind.T_world_odom()
+    corrections = []
+    for keyframe, tie, rgb in drifting(keyframes):
+        behind.insert(keyframe, tie, rgb)
+        corrections.append(behind.T_world_odom())
+        unasked.insert(keyframe, tie, rgb)
+    assert len(updates) == 4 and len(set(map(id, updates))) == 1  # all of the one that was asked
+    np.testing.assert_allclose(corrections[1], np.eye(4), atol=1e-6)
+    assert corrections[3][0, 3] < -0.04  # most of 6 cm, for the loops say that nothing moved
+    solved = behind.solve()
+    T_world_last = corrections[3] @ behind.keyframes[3].T_odom_cam
+    np.testing.assert_allclose(T_world_last, solved.T_world_kf[3], atol=1e-3)
+    np.testing.assert_array_equal(solved.T_world_kf, unasked.solve().T_world_kf)
+
+
+def _counted(method, calls):
+    def counting(self):
+        calls.append(self)
+        return method(self)
+
+    return counting
+
+
+def test_a_few_keyframes_may_stand_in_line_and_no_more(keyframes):
+    gate, is_done = Gate(), threading.Event()
+    behind = back_end(gate)
+    first, rgb = keyframes[0]
+
+    def insert(ids):
+        for k in ids:
+            keyframe = replace(first, id=k)
+            behind.insert(keyframe, links(keyframe), rgb)
+
+    def insert_more():
+        insert(range(8, 12))
+        is_done.set()
+
+    gate.is_open.clear()
+    insert(range(8))
+    waiting = threading.Thread(target=insert_more)
+    waiting.start()
+    assert not is_done.wait(0.05) and behind.keyframes == []
+    gate.is_open.set()
+    assert is_done.wait(10.0)
+    behind.settle()
+    assert [each.id for each in behind.keyframes] == list(range(12))
+
+
+def test_after_a_failure_nothing_is_taken_in_and_whoever_asks_next_is_told(keyframes):
+    gate = Gate()
+    gate.fails_at = 3
+    behind = back_end(gate)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    with pytest.raises(RecognizerError, match="NaN"):
+        behind.settle()
+    assert behind.settle() == ()
+    assert [each.id for each in behind.keyframes] == [0, 1]
+    assert len(behind.solve().T_world_kf) == 2
+
+
+class Torn(Gate):
+    """Compares by itself, and fails at that once."""
+
+    def __init__(self):
+        super().__init__()
+        self.compared = 0
+
+    def compare(self, queries, references):
+        self.compared += 1
+        if self.compared == 1:
+            raise ValueError("cannot compare")
+        return np.asarray(queries) @ np.asarray(references).T
+
+
+def test_after_a_failure_to_compare_nothing_is_taken_in_either(keyframes):
+    behind = back_end(Torn(), min_gap_s=4.0)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    with pytest.raises(RecognizerError, match="cannot compare"):
+        behind.settle()
+    assert len(behind.keyframes) == len(behind.solve().T_world_kf) == 2
+    assert behind.similarities().shape == (2, 2)
+    keyframe, rgb = keyframes[3]
+    behind.insert(replace(keyframe, segment=1), (), rgb)
+    with pytest.raises(RecognizerError, match="cannot compare"):
+        behind.settle()
+
+
+def test_who_has_to_wait_for_room_is_told_of_a_failure(keyframes):
+    gate = Gate()
+    gate.fails_at = 1
+    behind = back_end(gate)
+    keyframe, rgb = keyframes[0]
+    for _ in range(8):
+        behind.insert(keyframe, (), rgb)
+    with pytest.raises(RecognizerError, match="NaN"):
+        behind.insert(keyframe, (), rgb)
+    assert behind.is_empty

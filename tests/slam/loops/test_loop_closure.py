@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placerec.certificate import Certificate
+from placerec.errors import RecognizerError
+from slam.config import LoopConfig, VerificationConfig
+from slam.geometry import se3
+from slam.geometry.relative_pose import allow_for_turning, estimate_relative_pose
+from slam.loops.loop_closure import LoopCloser
+from slam.types import Frame, Keyframe, Rejection, RejectionReason, RelativePose
+
+T_REF_QUERY = se3.exp(np.array([0.05, -0.08, 0.03, 0.12, -0.05, 0.08]))
+IMAGE = np.zeros((4, 4, 3), np.uint8)
+
+
+class Scripted:
+    """Sees whatever it is told to."""
+
+    min_similarity = 0.8
+
+    def __init__(self, *answers):
+        self.answers = iter(answers)
+
+    def embed(self, image):
+        answer = next(self.answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def direction(angle_deg):
+    """Return the embedding at this angle: its similarity to that at 0 is the cosine."""
+    return np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))], np.float32)
+
+
+def closer(recognizer=None, *, camera=None, verification=None, **loop):
+    return LoopCloser(
+        camera,
+        recognizer or Scripted(),
+        LoopConfig(**loop),
+        verification or VerificationConfig(),
+    )
+
+
+@pytest.fixture
+def views(make_views):
+    return make_views(T_REF_QUERY)
+
+
+def keyframe(number, features, timestamp_s=None, turning_rad_s=0.0, segment=0):
+    timestamp_s = float(number) if timestamp_s is None else timestamp_s
+    preview = Frame(timestamp_s, IMAGE, np.zeros((4, 4), np.float32))
+    return Keyframe(number, timestamp_s, np.eye(4), features, preview, turning_rad_s, segment)
+
+
+def run(loop_closer, views, angles_deg, step_s=1.0):
+    """Close loops of keyframes that look in these directions; return the attempts of each."""
+    return [
+        loop_closer.close(keyframe(number, views.reference, number * step_s), direction(angle_deg))
+        for number, angle_deg in enumerate(angles_deg)
+    ]
+
+
+def pairs(attempts):
+    return [(attempt.query_id, attempt.match_id) for attempt in attempts]
+
+
+def test_a_place_seen_again_is_a_loop_with_the_match_as_reference(views):
+    loop_closer = closer(camera=views.camera)
+    assert loop_closer.close(keyframe(0, views.reference, 0.0), direction(0)) == ()
+    (attempt,) = loop_closer.close(keyframe(1, views.query, 10.0), direction(10))
+    assert isinstance(attempt.outcome, RelativePose) and pairs([attempt]) == [(1, 0)]
+    assert attempt.similarity == pytest.approx(np.cos(np.radians(10)))
+    assert attempt.weight is None
+    np.testing.assert_allclose(attempt.outcome.T_ref_query, T_REF_QUERY, atol=1e-6)
+    assert attempt.verification.pixels.shape == (150, 4)
+
+
+class Levels(Scripted):
+    """Describes a place by a (1, 1) level, and compares levels by their difference."""
+
+    looks_back = 1
+
+    def __init__(self):
+        self.asked = []
+
+    def compare(self, queries, references):
+        self.asked.append(queries.ravel().tolist())
+        return 1 - abs(queries[:, None, 0, 0] - references[None, :, 0, 0])
+
+
+def test_a_recognizer_that_compares_its_embeddings_itself_is_asked(views):
+    levels = Levels()
+    loop_closer = closer(levels, camera=views.camera, candidates=1)
+    for number, level in enumerate([0.0, 0.5, 0.25]):
+        new = keyframe(number, views.reference, 10.0 * number)
+        attempts = loop_closer.close(new, np.full((1, 1), level, np.float32))
+    assert [(attempt.match_id, attempt.similarity) for attempt in attempts] == [(0, 0.75)]
+    assert levels.asked == [[0.0, 0.5], [0.5, 0.25]]
+    expected = [[1, 0.5, 0.75], [0.5, 1, 0.75], [0.75, 0.75, 1]]
+    assert loop_closer.similarities().tolist() == expected
+
+
+def test_a_camera_that_stood_still_closes_no_loop_with_what_it_is_linked_to(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    run(loop_closer, views, [0] * 4, step_s=10.0)
+    new = keyframe(4, views.reference, 40.0)
+    assert pairs(loop_closer.close(new, direction(0), linked_ids=[3, 2])) == [(4, 0), (4, 1)]
+
+
+def test_only_keyframes_outside_the_time_window_are_looked_at(views):
+    attempts = run(closer(camera=views.camera, min_gap_s=3.0, candidates=10), views, [0] * 6)
+    assert [pairs(each) for each in attempts] == [
+        [],
+        [],
+        [],
+        [(3, 0)],
+        [(4, 0), (4, 1)],
+        [(5, 0), (5, 1), (5, 2)],
+    ]
+    attempts = run(closer(camera=views.camera, min_gap_s=3.1, candidates=10), views, [0] * 5)
+    assert [pairs(each) for each in attempts] == [[], [], [], [], [(4, 0)]]
+
+
+def close_all(loop_closer, views, segments):
+    """Close loops of keyframes a second apart that look the same, one for each segment named."""
+    return [
+        loop_closer.close(keyframe(k, views.reference, segment=segment), direction(k))
+        for k, segment in enumerate(segments)
+    ]
+
+
+def test_all_keyframes_of_other_segments_are_looked_at_however_new(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    attempts = close_all(loop_closer, views, [0, 0, 1, 1, 0, 2])
+    assert [pairs(each) for each in attempts] == [
+        [],
+        [],
+        [(2, 1), (2, 0)],
+        [(3, 1), (3, 0)],
+        [(4, 3), (4, 2), (4, 1), (4, 0)],
+        [(5, 4), (5, 3), (5, 2), (5, 1), (5, 0)],
+    ]
+    new = keyframe(6, views.reference, segment=0)
+    attempts = loop_closer.close(new, direction(6), linked_ids=[4, 1])
+    assert pairs(attempts) == [(6, 5), (6, 3), (6, 2), (6, 0)]
+
+
+def test_no_more_of_other_segments_than_wanted(views):
+    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=2)
+    attempts = close_all(loop_closer, views, [0, 0, 1, 0, 0])
+    assert [pairs(each) for each in attempts[2:]] == [
+        [(2, 1), (2, 0)],
+        [(3, 2), (3, 0)],
+        [(4, 2), (4, 1)],
+    ]
+
+
+def test_every_keyframe_beyond_the_window_leaves_an_attempt(views):
+    angles_deg = np.random.default_rng(0).uniform(0, 360, 40)
+    attempts = run(closer(camera=views.camera), views, angles_deg)
+    assert all(each == () for each in attempts[:3])
+    for number, each in enumerate(attempts[3:], start=3):
+        assert 1 <= len(each) <= 4
+        assert all(attempt.query_id == number for attempt in each)
+        assert all(attempt.match_id <= number - 3 for attempt in each)
+
+
+def test_the_most_similar_ones_come_first_and_no_more_than_wanted(views):
+    attempts = run(
+        closer(camera=views.camera, candidates=2), views, [30, 10, 20, 5, 25, 15, 90, 91, 92, 0]
+    )
+    assert pairs(attempts[-1]) == [(9, 3), (9, 1)]
+
+
+def test_too_little_similarity_is_an_attempt_with_the_best_of_them(views):
+    attempts = run(closer(camera=views.camera), views, [80, 50, 60, 120, 121, 0])
+    (attempt,) = attempts[-1]
+    assert pairs([attempt]) == [(5, 1)]
+    assert attempt.verification is None and not isinstance(attempt.outcome, RelativePose)
+    similarity = pytest.approx(np.cos(np.radians(50)))
+    assert attempt.similarity == similarity
+    assert attempt.outcome.reason is RejectionReason.LOW_SIMILARITY
+    assert (attempt.outcome.measured, attempt.outcome.needed) == (similarity, 0.8)
+
+
+def test_candidates_below_the_threshold_are_not_verified_beside_better_ones(views):
+    attempts = run(closer(camera=views.camera), views, [20, 70, 80, 120, 121, 0])
+    assert pairs(attempts[-1]) == [(5, 0)]
+
+
+def test_the_setting_wins_over_the_recognizers_own_threshold(views):
+    assert closer().min_similarity == 0.8
+    lenient = closer(camera=views.camera, min_similarity=0.1)
+    assert lenient.min_similarity == 0.1
+    attempts = run(lenient, views, [80, 50, 60, 120, 121, 0])
+    assert pairs(attempts[-1]) == [(5, 1), (5, 2), (5, 0)]
+    # Zero is a threshold, not the absence of one.
+    assert closer(min_similarity=0.0).min_similarity == 0.0
+
+
+def test_geometry_may_say_no_to_what_looks_alike(views, make_views):
+    other = make_views(T_REF_QUERY, seed=5)
+    loop_closer = closer(camera=views.camera)
+    loop_closer.close(keyframe(0, views.reference, 0.0), direction(0))
+    (attempt,) = loop_closer.close(keyframe(1, other.query, 10.0), direction(0))
+    assert attempt.outcome.reason is RejectionReason.FEW_MATCHES
+    assert attempt.verification.outcome == attempt.outcome and not isinstance(
+        attempt.outcome, RelativePose
+    )
+
+
+def test_a_blank_keyframe_is_remembered_and_rejected(views):
+    blank = replace(
+        views.reference, **{name: values[:0] for name, values in vars(views.reference).items()}
+    )
+    loop_closer = closer(camera=views.camera)
+    loop_closer.close(keyframe(0, blank, 0.0), direction(0))
+    (attempt,) = loop_closer.close(keyframe(1, views.query, 10.0), direction(0))
+    assert attempt.outcome == Rejection(RejectionReason.FEW_MATCHES, 0, 20)
+
+
+def test_turning_makes_a_loop_vaguer_and_in_the_end_useless(views):
+    def attempt(match_rad_s, query_rad_s):
+        loop_closer = closer(camera=views.camera)
+        loop_closer.close(keyframe(0, views.reference, 0.0, match_rad_s), direction(0))
+        (one,) = loop_closer.close(keyframe(1, views.query, 10.0, query_rad_s), direction(0))
+        return one
+
+    seen = estimate_relative_pose(
+        views.reference, views.query, views.camera, VerificationConfig()
+    ).outcome
+    np.testing.assert_array_equal(
+        attempt(0.3, 0.2).outcome.information, allow_for_turning(seen, 0.3, 0.2).information
+    )
+    for rejected in (attempt(3.0, 0.0), attempt(0.0, 3.0)):
+        assert rejected.outcome.reason is RejectionReason.UNCERTAIN_MOTION
+        assert rejected.outcome.measured > rejected.outcome.needed == 0.05
+        # Geometry's own answer is kept: the report shows it, and truth can judge it.
+        assert isinstance(rejected.verification.outcome, RelativePose)
+
+
+def test_similarities_are_those_between_all_keyframes(views):
+    loop_closer = closer(camera=views.camera)
+    assert loop_closer.similarities().shape == (0, 0)
+    run(loop_closer, views, [0, 60, 90])
+    expected = np.cos(np.radians([[0, 60, 90], [60, 0, 30], [90, 30, 0]]))
+    np.testing.assert_allclose(loop_closer.similarities(), expected, atol=1e-6)
+    assert loop_closer.similarities().dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("answers", "what"),
+    [
+        ([np.array([np.nan, 1.0])], "1 of 2 values that are NaN or infinite"),
+        ([np.array([np.inf, 1.0])], "1 of 2 values that are NaN or infinite"),
+        ([np.ones((2, 2)) / 2], r"an array of shape \(2, 2\)"),
+        ([np.float32(1.0)], r"an array of shape \(\)"),
+        ([np.zeros(0)], r"an array of shape \(0,\)"),
+        ([direction(0), np.array([0.0, 0.0, 1.0])], r"shape \(3,\) after \(2,\)"),
+        ([np.array([3.0, 4.0])], "a vector of length 5"),
+        ([np.zeros(4)], "a vector of length 0"),
+        ([None], r"an array of shape \(\)"),
+        (["here"], "a str that is not an array of numbers"),
+        ([ValueError("out of\nmemory")], "failed: ValueError: out of memory"),
+    ],
+)
+def test_a_recognizer_that_misbehaves_is_named_in_one_line(answers, what):
+    loop_closer = closer(Scripted(*answers))
+    for _ in answers[:-1]:
+        loop_closer.describe(IMAGE)
+    with pytest.raises(RecognizerError, match=what) as error:
+        loop_closer.describe(IMAGE)
+    assert "Scripted" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("threshold", [np.nan, 1.5, "high", None])
+def test_a_threshold_that_is_no_cosine_is_refused_at_once(threshold):
+    recognizer = Scripted()
+    recognizer.min_similarity = threshold
+    with pytest.raises(RecognizerError, match="min_similarity"):
+        closer(recognizer)
+
+
+class Certified(Scripted):
+    """Says that all but the opposite direction was met before."""
+
+    fingerprint = "sha256:0"
+
+    def __init__(self, fingerprint="sha256:0"):
+        super().__init__()
+        known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+        pairs = ("threshold_interval", "recall_interval", "different_places", "same_place")
+        known |= dict.fromkeys(pairs, (0.0, 1.0))
+        known |= {"resampled": "places", "recognizer": "certified", "data": "a room"}
+        self.certificate = Certificate.model_validate(known | {"fingerprint": fingerprint})
+
+
+def test_a_certificate_is_put_beside_the_pairs_that_could_be_loops(views):
+    recognizer = Certified()
+    loop_closer = closer(recognizer, camera=views.camera, min_gap_s=3.0)
+    run(loop_closer, views, [0, 10, 20, 30, 40])
+    new = keyframe(5, views.reference, 50.0)
+    loop_closer.close(new, direction(50), linked_ids=[4, 1])  # so 0 is the only one left
+    calibration = loop_closer.calibration()
+    assert calibration.certificate is recognizer.certificate
+    angles_deg = [30 - 0, 40 - 0, 40 - 10, 50 - 0]
+    np.testing.assert_allclose(
+        calibration.live_similarities, np.cos(np.radians(angles_deg)), atol=1e-6
+    )
+    assert calibration.warnings == ()
+
+
+def test_places_unlike_those_calibrated_on_are_warned_of(views):
+    loop_closer = closer(Certified(), camera=views.camera)
+    run(loop_closer, views, [0] * 10 + [180] * 10)
+    (warning,) = loop_closer.calibration().warnings
+    assert "of the 153 similarities lie outside 0.000 to 1.000" in warning
+    assert "calibrated on a room" in warning
+
+
+def test_without_a_certificate_nothing_is_said(views):
+    loop_closer = closer(camera=views.camera)
+    run(loop_closer, views, [0] * 4)
+    assert loop_closer.calibration() is None
+
+
+def test_a_certificate_without_any_pair_to_compare_is_told_all_the_same(views):
+    loop_closer = closer(Certified(), camera=views.camera)
+    run(loop_closer, views, [0])
+    assert len(loop_closer.calibration().live_similarities) == 0
+
+
+def test_a_certificate_of_another_version_is_refused_at_once():
+    with pytest.raises(RecognizerError, match="the certificate of another version"):
+        closer(Certified("sha256:1"))
+
+
+def test_a_certificate_is_put_beside_pairs_of_two_segments_too(views):
+    loop_closer = closer(Certified(), camera=views.camera, min_gap_s=3.0)
+    close_all(loop_closer, views, [0, 0, 1])
+    live = loop_closer.calibration().live_similarities
+    np.testing.assert_allclose(live, np.cos(np.radians([2, 1])), atol=1e-6)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from slam.geometry import se3
+from slam.geometry.feature_grid import FeatureGrid
+from slam.mapping.landmark_map import LandmarkMap, empty_pairs
+from slam.mapping.landmarks import UNSEEN
+
+
+@pytest.fixture
+def scene(make_scene):
+    return make_scene()
+
+
+def add(the_map, scene, k, pairs=None, T_map_cam=None):
+    T_map_cam = scene.T_world_cam[k] if T_map_cam is None else T_map_cam
+    grid = FeatureGrid(scene.features[k], scene.camera)
+    pairs = empty_pairs() if pairs is None else pairs
+    return the_map.add_keyframe(scene.features[k], grid, T_map_cam, pairs)
+
+
+@pytest.fixture
+def one(scene):
+    """Return a map of one keyframe, whose landmark i is point i."""
+    the_map = LandmarkMap(scene.camera, 8, 64)
+    the_map.add_landmarks(add(the_map, scene, 0))
+    return the_map
+
+
+def test_landmarks_lie_where_the_keyframe_saw_them(one, scene):
+    np.testing.assert_allclose(one.landmarks.positions_m[:120], scene.points_m, atol=1e-9)
+    np.testing.assert_array_equal(one.seen_by([0]), np.arange(120))
+
+
+@pytest.mark.parametrize("k", [1, 4])
+def test_a_search_finds_landmarks_from_elsewhere(one, scene, k):
+    grid = FeatureGrid(scene.features[k], scene.camera)
+    pairs = one.search(grid, scene.T_world_cam[k], np.arange(120), 3.0)
+    assert len(pairs) > 100
+    np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
+
+
+def test_what_is_behind_or_seen_from_the_back_is_not_looked_for(one, scene):
+    grid = FeatureGrid(scene.features[0], scene.camera)
+    turned = se3.exp(np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0]))
+    assert len(one.search(grid, turned, np.arange(120), 1000.0)) == 0
+    beyond = turned.copy()
+    beyond[2, 3] = 5.0  # in front of it all points, but all that is known is their other side
+    assert len(one.search(grid, beyond, np.arange(120), 1000.0)) == 0
+
+
+def test_a_second_keyframe_adds_only_what_is_new(one, scene):
+    pairs = np.tile(np.arange(100), (2, 1)).T
+    second = add(one, scene, 1, pairs)
+    made = one.add_landmarks(second)
+    assert len(made) == 20 and len(one.landmarks) == 140
+    assert one.company(np.arange(120)) == [0, 1]
+    assert one.company(made) == [1]
+    np.testing.assert_array_equal(one.shared_features(0, 1), pairs)
+
+
+def test_fusing_makes_one_landmark_of_two_at_one_place(one, scene):
+    made = one.add_landmarks(add(one, scene, 1))
+    assert len(made) == 120 and len(one.shared_features(0, 1)) == 0
+    one.fuse(0, made, 3.0)
+    assert len(one.shared_features(0, 1)) > 110
+    assert len(one.seen_by([0, 1])) < 130
+
+
+def test_fusing_lets_a_keyframe_see_what_it_had_overlooked(one, scene):
+    second = add(one, scene, 1)
+    one.fuse(second, np.arange(120), 3.0)
+    assert len(one.seen_by([second])) > 110
+    assert one.company(np.arange(120))[0] in (0, 1)
+
+
+def test_landmarks_where_nothing_fits_are_not_fused(one, scene):
+    second = add(one, scene, 1)
+    one.landmarks.positions_m[:60] += np.array([0.0, 0.1, 0.0])
+    one.fuse(second, np.arange(120), 100.0)
+    assert (one.keyframes[second].landmark_of[:60] == UNSEEN).all()
+    assert (one.keyframes[second].landmark_of[60:] != UNSEEN).mean() > 0.9
+
+
+def test_landmarks_are_carried_with_the_keyframe_that_made_them(one, scene):
+    second = add(one, scene, 1, np.tile(np.arange(100), (2, 1)).T)
+    made = one.add_landmarks(second)
+    before = one.landmarks.positions_m[:140].copy()
+    T_new_old = se3.exp(np.array([0.1, 0.0, 0.2, 1.0, 2.0, 3.0]))
+    one.carry([second], np.array([T_new_old @ scene.T_world_cam[1]]))
+    np.testing.assert_array_equal(one.landmarks.positions_m[:120], before[:120])
+    expected = se3.transform(T_new_old, before[made])
+    np.testing.assert_allclose(one.landmarks.positions_m[made], expected, atol=1e-9)
+
+
+def test_a_copy_may_be_changed(one, scene):
+    copied = one.copy()
+    copied.add_landmarks(add(copied, scene, 1))
+    copied.fuse(0, np.arange(120, 240), 3.0)
+    copied.keyframes[0].landmark_of[:] = UNSEEN
+    copied.landmarks.positions_m[:] = 0.0
+    assert len(one.keyframes) == 1 and len(one.landmarks) == 120
+    np.testing.assert_array_equal(one.seen_by([0]), np.arange(120))
+    np.testing.assert_allclose(one.landmarks.positions_m[:120], scene.points_m, atol=1e-9)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+import json
+import math
+
+import numpy as np
+import pytest
+
+from slam.evaluation.drift import DriftReport, LoopTruth, TrajectoryError
+from slam.geometry import se3
+from slam.output.ledger import MotionRecord, TruthRecord, loop_records, read_ledger, write_ledger
+from slam.result import SlamResult
+from slam.types import (
+    Camera,
+    Features,
+    Frame,
+    Keyframe,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    SlamError,
+    Trajectory,
+    Verification,
+)
+
+NAN = math.nan
+MOTION = RelativePose(
+    se3.exp(np.array([0.1, -0.2, 0.3, 1.0, 2.0, 3.0])),
+    np.arange(36.0).reshape(6, 6) + np.arange(36.0).reshape(6, 6).T + 1.0 / 3.0,
+)
+FEW = Rejection(RejectionReason.FEW_INLIERS, 12.0, 25.0)
+
+
+def verification(outcome):
+    return Verification(outcome, np.zeros((40, 4)), np.arange(40) < 12)
+
+
+ATTEMPTS = (
+    LoopAttempt(2, 0, 0.9, verification(MOTION), MOTION, 0.75),
+    LoopAttempt(2, 1, 0.8, verification(FEW), FEW),
+    LoopAttempt(1, 0, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
+    LoopAttempt(1, 0, 0.7, verification(MOTION), MOTION, 0.0),
+)
+TRUTHS = (
+    LoopTruth(0.01, 0.5, 1.0, 20.0, False),
+    LoopTruth(NAN, NAN, 2.0, 30.0, None),
+    LoopTruth(NAN, NAN, NAN, NAN, None),
+    LoopTruth(4.0, 50.0, 1.0, 20.0, None),
+)
+
+
+def keyframe(index):
+    stamp_s = 1305031449.7996 + index
+    nothing, points = np.zeros((0, 2)), np.zeros((0, 3))
+    features = Features(
+        nothing,
+        nothing,
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 32), dtype=np.uint8),
+        np.zeros(0),
+        points,
+    )
+    preview = Frame(
+        stamp_s, np.zeros((1, 1, 3), dtype=np.uint8), np.zeros((1, 1), dtype=np.float32)
+    )
+    return Keyframe(index, stamp_s, np.eye(4), features, preview)
+
+
+def result(attempts=ATTEMPTS):
+    nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    return SlamResult(
+        camera=Camera(640, 480, 525.0, 525.0, 319.5, 239.5),
+        keyframes=tuple(keyframe(index) for index in range(3)),
+        T_world_kf=np.tile(np.eye(4), (3, 1, 1)),
+        odometry=nothing,
+        trajectory=nothing,
+        links=(),
+        attempts=attempts,
+        similarities=np.zeros((3, 3), dtype=np.float32),
+        min_similarity=0.5,
+        untracked_s=np.zeros(0),
+        stage_seconds={},
+        warnings=(),
+    )
+
+
+def drift(loops=TRUTHS):
+    error = TrajectoryError(np.zeros(3), np.eye(4), np.zeros(3), 0.0, 0.0, 0.0, 1.0)
+    return DriftReport(error, error, loops, 0.02, 1.0, 1.0, 5.0)
+
+
+def test_round_trip(tmp_path):
+    path = tmp_path / "loops.jsonl"
+    for report in (None, drift()):
+        write_ledger(path, result(), report)
+        assert read_ledger(path) == loop_records(result(), report)
+    write_ledger(path, result(attempts=()), None)
+    assert path.read_bytes() == b""
+    assert read_ledger(path) == ()
+
+
+def test_last_bits_do_not_change_the_bytes(tmp_path):
+    nudged = RelativePose(MOTION.T_ref_query * (1.0 + 1e-14), MOTION.information * (1.0 - 1e-14))
+    again = LoopAttempt(2, 0, 0.9 + 1e-15, verification(nudged), nudged, 0.75)
+    write_ledger(tmp_path / "a", result(ATTEMPTS[:1]), None)
+    write_ledger(tmp_path / "b", result((again,)), None)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_an_accepted_loop_carries_its_motion_and_its_truth():
+    record = loop_records(result(), drift())[0]
+    assert (record.query_id, record.match_id, record.weight) == (2, 0, 0.75)
+    assert record.query_timestamp_s == 1305031451.7996
+    assert record.match_timestamp_s == 1305031449.7996
+    assert record.accepted
+    assert record.reason is record.explanation is record.measured is record.margin is None
+    assert (record.matches, record.inliers) == (40, 12)
+    motion = record.T_match_query
+    assert isinstance(motion, MotionRecord)
+    T_match_query = se3.from_rotation_translation(
+        se3.from_quaternion(np.array(motion.quaternion_xyzw)), np.array(motion.translation_m)
+    )
+    np.testing.assert_allclose(T_match_query, MOTION.T_ref_query, atol=1e-8)
+    upper = np.zeros((6, 6))
+    upper[np.triu_indices(6)] = motion.information
+    np.testing.assert_allclose(upper, np.triu(MOTION.information), rtol=1e-8)
+    assert record.truth == TruthRecord(0.01, 0.5, 1.0, 20.0, False)
+
+
+def test_a_rejected_loop_says_why_and_how_far_it_was_from_being_accepted():
+    record = loop_records(result(), drift())[1]
+    assert not record.accepted
+    assert record.reason == "few_inliers"
+    assert record.explanation == RejectionReason.FEW_INLIERS.value
+    assert (record.measured, record.needed, record.margin) == (12.0, 25.0, 13.0)
+    assert record.T_match_query is record.weight is None
+    assert record.truth == TruthRecord(None, None, 2.0, 30.0, None)
+
+
+def test_a_loop_below_the_threshold_was_never_shown_to_geometry():
+    record = loop_records(result(), drift())[2]
+    assert (record.similarity, record.min_similarity) == (0.1, 0.5)
+    assert record.matches is record.inliers is record.truth is None
+
+
+def test_a_loop_the_graph_ignores_is_outvoted_but_keeps_its_motion():
+    record = loop_records(result(), drift())[3]
+    assert not record.accepted
+    assert (record.reason, record.weight) == ("outvoted", 0.0)
+    assert record.T_match_query is not None
+
+
+def test_lines_are_plain_json_in_the_order_of_the_attempts(tmp_path):
+    odd = Rejection(RejectionReason.NARROW_SUPPORT, NAN, math.inf)
+    attempts = (*ATTEMPTS, LoopAttempt(2, 1, 0.6, None, odd))
+    write_ledger(tmp_path / "l", result(attempts), drift((*TRUTHS, TRUTHS[2])))
+    text = (tmp_path / "l").read_text()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    lines = [json.loads(line) for line in text.splitlines()]
+    assert [line["query_id"] for line in lines] == [2, 2, 1, 1, 2]
+    assert len({tuple(line) for line in lines}) == 1
+    assert list(lines[0])[:3] == ["query_id", "match_id", "query_timestamp_s"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (lambda line: line[:20], "Invalid JSON"),
+        (lambda line: "", "Invalid JSON"),
+        (lambda line: line.replace('"match_id": 1', '"match_id": "one"'), "match_id: .*integer"),
+        (lambda line: line.replace('"match_id"', '"matched"'), "match_id: .*required"),
+        (lambda line: line.replace("{", '{"extra": 1, ', 1), "extra: "),
+        (lambda line: line.replace('"margin": 13.0', '"margin": NaN'), "margin: .*finite"),
+    ],
+)
+def test_a_malformed_line_is_named(tmp_path, spoil, complaint):
+    path = tmp_path / "loops.jsonl"
+    write_ledger(path, result(), None)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], spoil(lines[1]), *lines[2:]]))
+    with pytest.raises(SlamError, match=f"^line 2 of the loop ledger: .*{complaint}") as caught:
+        read_ledger(path)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(str(path))
+
+
+def test_a_ledger_that_cannot_be_read(tmp_path):
+    with pytest.raises(SlamError, match="No such file or directory"):
+        read_ledger(tmp_path / "absent.jsonl")
+    (tmp_path / "l").write_bytes(b"\xff\xfe")
+    with pytest.raises(SlamError, match="not a text file"):
+        read_ledger(tmp_path / "l")

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+import errno
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import open3d as o3d
+import pytest
+
+from placerec.recognizers.gradients import GradientRecognizer
+from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_config
+from slam.evaluation.drift import compare_drift
+from slam.evaluation.trajectory import read_tum
+from slam.output.ledger import read_ledger
+from slam.output.run_folder import make_run_folder, write_run
+from slam.system import Slam
+from slam.types import RelativePose, SlamError
+
+NAMES = ("small room", "run_slam room")
+MINE = ("small room", "run_slam room --recognizer mine")
+IN_ORDER = [
+    "trajectory.txt",
+    "odometry.txt",
+    "keyframes.txt",
+    "groundtruth.txt",
+    "loops.jsonl",
+    "pose_graph.g2o",
+    "settings.toml",
+    "summary.json",
+    "report.html",
+    "map.ply",
+]
+CONFIG = Config(map=MapConfig(voxel_m=0.05))
+
+
+@pytest.fixture(scope="module")
+def result(room_run):
+    return room_run
+
+
+@pytest.fixture(scope="module")
+def drift(result, sequence):
+    return compare_drift(
+        result.odometry,
+        result.trajectory,
+        sequence.ground_truth,
+        result.attempts,
+        result.keyframes,
+        EvaluationConfig(),
+    )
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, result, drift, sequence):
+    folder = tmp_path_factory.mktemp("run")
+    write_run(folder, result, drift, sequence.ground_truth, CONFIG, *NAMES)
+    return folder
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_every_file_is_there_and_nothing_else(written):
+    assert names(written) == sorted(IN_ORDER)
+
+
+def test_what_was_not_joined_is_in_no_file_but_the_ledger(tmp_path, frames, sequence):
+    slam = Slam(sequence.camera, GradientRecognizer(), Config(loop=LoopConfig(min_similarity=-1.0)))
+    for frame in [*frames[:6], *frames[24:34]]:
+        slam.process(frame)
+    parted = slam.finish()
+    is_apart = np.isnan(parted.T_world_kf[:, 0, 0])
+    assert 0 < is_apart.sum() < len(is_apart)
+    drift = compare_drift(
+        parted.odometry,
+        parted.trajectory,
+        sequence.ground_truth,
+        parted.attempts,
+        parted.keyframes,
+        EvaluationConfig(),
+    )
+    write_run(tmp_path, parted, drift, sequence.ground_truth, CONFIG, *NAMES)
+    assert names(tmp_path) == sorted(IN_ORDER)
+    assert len(read_tum(tmp_path / "keyframes.txt").timestamps_s) == (~is_apart).sum()
+    assert len(read_tum(tmp_path / "trajectory.txt")) == 10
+    _, values = gtsam.readG2o(str(tmp_path / "pose_graph.g2o"), True)
+    assert sorted(values.keys()) == np.flatnonzero(~is_apart).tolist()
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["frames_tracked"], summary["frames_unjoined"]) == (10, 6)
+    records = read_ledger(tmp_path / "loops.jsonl")
+    assert len(records) == len(parted.attempts) > 0 and not any(each.accepted for each in records)
+    assert "10 of 16" in (tmp_path / "report.html").read_text()
+
+
+def test_trajectories_are_read_back(written, result, sequence):
+    for name, poses in (
+        ("trajectory.txt", result.trajectory.T_world_cam),
+        ("odometry.txt", result.odometry.T_world_cam),
+        ("keyframes.txt", result.T_world_kf),
+        ("groundtruth.txt", sequence.ground_truth.T_world_cam),
+    ):
+        read = read_tum(written / name)
+        np.testing.assert_allclose(read.T_world_cam, poses, atol=1e-7)
+    times_s = [keyframe.timestamp_s for keyframe in result.keyframes]
+    np.testing.assert_allclose(read_tum(written / "keyframes.txt").timestamps_s, times_s)
+
+
+def test_gtsam_reads_the_graph_and_agrees_with_it(written, result):
+    graph, values = gtsam.readG2o(str(written / "pose_graph.g2o"), True)
+    kept = [each for each in result.attempts if each.weight is not None and each.weight > 0.5]
+    assert values.size() == len(result.keyframes)
+    assert graph.size() == len(result.links) + len(kept)
+    for keyframe, T_world_kf in zip(result.keyframes, result.T_world_kf, strict=True):
+        np.testing.assert_allclose(values.atPose3(keyframe.id).matrix(), T_world_kf, atol=1e-6)
+    first = result.links[0]
+    measured = graph.at(0).measured().matrix()
+    np.testing.assert_allclose(measured, first.motion.T_ref_query, atol=1e-6)
+    R = graph.at(0).noiseModel().R()
+    np.testing.assert_allclose(R.T @ R, first.motion.information, rtol=1e-4)
+
+
+def test_the_ledger_has_every_attempt(written, result):
+    records = read_ledger(written / "loops.jsonl")
+    assert [(each.query_id, each.match_id) for each in records] == [
+        (each.query_id, each.match_id) for each in result.attempts
+    ]
+
+
+def test_the_settings_are_those_of_the_run(written):
+    assert load_config(written / "settings.toml") == CONFIG
+
+
+def test_the_summary_is_json_with_the_drift(written, drift):
+    summary = json.loads((written / "summary.json").read_text())
+    assert summary["ate_after_m"] == pytest.approx(drift.after.ate_rmse_m)
+    assert summary["frames_tracked"] == 60
+
+
+def test_the_map_is_a_cloud_in_colour(written):
+    cloud = o3d.io.read_point_cloud(str(written / "map.ply"))
+    assert len(cloud.points) > 500 and cloud.has_colors()
+
+
+def test_the_report_is_one_page_with_its_title(written):
+    page = (written / "report.html").read_text()
+    assert page.rstrip().endswith("</html>") and "small room" in page
+
+
+def test_without_truth_or_map_their_files_are_left_out(tmp_path, result):
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, *NAMES)
+    assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt", "map.ply"})
+    assert json.loads((tmp_path / "summary.json").read_text())["ate_after_m"] is None
+
+
+def test_truth_that_could_not_be_compared_is_copied_all_the_same(tmp_path, result, sequence):
+    write_run(
+        tmp_path, result, None, sequence.ground_truth, Config(), "small room", "run_slam room"
+    )
+    assert names(tmp_path) == sorted(IN_ORDER)
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path, written, result, drift, sequence):
+    write_run(tmp_path, result, drift, sequence.ground_truth, CONFIG, *NAMES)
+    for name in IN_ORDER:
+        assert (tmp_path / name).read_bytes() == (written / name).read_bytes(), name
+
+
+def test_an_outvoted_loop_is_in_the_ledger_but_not_in_the_graph(tmp_path, result):
+    motion = RelativePose(np.eye(4), np.eye(6))
+    loops = tuple(
+        replace(result.attempts[-1], outcome=motion, weight=weight) for weight in (1.0, 0.0)
+    )
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, replace(result, attempts=loops), None, None, config, "x", "run_slam x")
+    assert [each.accepted for each in read_ledger(tmp_path / "loops.jsonl")] == [True, False]
+    graph, _ = gtsam.readG2o(str(tmp_path / "pose_graph.g2o"), True)
+    assert graph.size() == len(result.links) + 1
+
+
+@pytest.mark.parametrize("stops_at", IN_ORDER)
+def test_a_full_disk_leaves_the_files_before_it_whole(
+    tmp_path, monkeypatch, result, drift, sequence, written, stops_at
+):
+    sync, room = os.fsync, iter(IN_ORDER[: IN_ORDER.index(stops_at)])
+
+    def fsync(stream):
+        if next(room, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(stream)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(SlamError, match=f"cannot write {stops_at}: No space left") as error:
+        write_run(
+            tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room", "run_slam room"
+        )
+    assert "\n" not in str(error.value)
+    complete = IN_ORDER[: IN_ORDER.index(stops_at)]
+    assert names(tmp_path) == sorted(complete)
+    for name in complete:
+        assert (tmp_path / name).read_bytes() == (written / name).read_bytes()
+
+
+def test_a_run_folder_is_made_with_its_parents_and_left_empty(tmp_path):
+    folder = tmp_path / "runs" / "desk"
+    make_run_folder(folder)
+    make_run_folder(folder)
+    assert folder.is_dir() and names(folder) == []
+
+
+def test_an_earlier_run_is_not_touched_by_making_its_folder(tmp_path):
+    (tmp_path / "report.html").write_text("mine")
+    make_run_folder(tmp_path)
+    assert names(tmp_path) == ["report.html"]
+
+
+@pytest.mark.parametrize("inside", ["", "deeper"])
+def test_a_file_in_the_way_is_one_clear_line(tmp_path, inside):
+    (tmp_path / "taken").write_text("")
+    folder = tmp_path / "taken" / inside
+    with pytest.raises(SlamError, match=r"cannot write to the output folder .*--out") as error:
+        make_run_folder(folder)
+    assert "\n" not in str(error.value) and str(error.value).endswith(str(folder))
+
+
+def test_a_folder_that_may_not_be_written_to_is_one_clear_line(tmp_path, monkeypatch):
+    def touch(path):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(Path, "touch", touch)
+    with pytest.raises(SlamError, match="Permission denied"):
+        make_run_folder(tmp_path)
+
+
+def test_what_an_earlier_run_left_is_not_mistaken_for_this_one_s(result, tmp_path):
+    for name in ("map.ply", "groundtruth.txt", "summary.json"):
+        (tmp_path / name).write_text("from an earlier run")
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, *NAMES)
+    assert not (tmp_path / "map.ply").exists()
+    assert not (tmp_path / "groundtruth.txt").exists()
+
+
+def test_the_settings_and_the_summary_say_what_was_run(result, tmp_path):
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, *MINE)
+    settings = (tmp_path / "settings.toml").read_text()
+    assert settings.startswith("# run_slam room --recognizer mine --config settings.toml\n")
+    assert load_config(tmp_path / "settings.toml") == config
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["command"] == MINE[1]
+
+
+def test_files_that_no_run_wrote_are_left_alone(result, tmp_path):
+    for name in ("map.ply", "groundtruth.txt"):
+        (tmp_path / name).write_text("somebody's")
+    write_run(tmp_path, result, None, None, Config(map=MapConfig(write=False)), *NAMES)
+    assert (tmp_path / "map.ply").read_text() == "somebody's"
+    assert (tmp_path / "groundtruth.txt").read_text() == "somebody's"
+
+
+def test_a_recording_is_no_run_folder(tmp_path):
+    (tmp_path / "rgb.txt").touch()
+    with pytest.raises(SlamError, match="would replace files of the recording"):
+        make_run_folder(tmp_path)

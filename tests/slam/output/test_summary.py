@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placerec.certificate import Certificate
+from slam.evaluation.drift import DriftReport, LoopTruth, TrajectoryError
+from slam.output.summary import summarise
+from slam.result import Calibration, SlamResult
+from slam.types import (
+    Camera,
+    Keyframe,
+    Link,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    Trajectory,
+)
+
+MOTION = RelativePose(np.eye(4), np.eye(6))
+ATTEMPTS = (
+    LoopAttempt(9, 0, 0.9, None, MOTION, 1.0),
+    LoopAttempt(9, 1, 0.9, None, MOTION, 1.0),
+    LoopAttempt(9, 2, 0.9, None, MOTION, 0.0),
+    LoopAttempt(9, 3, 0.9, None, Rejection(RejectionReason.OUTVOTED, 0.0, 0.5)),
+    LoopAttempt(9, 4, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
+)
+VERDICTS = (True, False, None, None, None)
+
+
+def result(attempts=ATTEMPTS, frames=8, stage_seconds=None):
+    tracked = Trajectory(np.arange(float(frames)), np.tile(np.eye(4), (frames, 1, 1)))
+    return SlamResult(
+        camera=Camera(640, 480, 525.0, 525.0, 319.5, 239.5),
+        keyframes=(),
+        T_world_kf=np.zeros((0, 4, 4)),
+        odometry=tracked,
+        trajectory=tracked,
+        links=(Link(0, 1, MOTION),),
+        attempts=attempts,
+        similarities=np.zeros((0, 0), dtype=np.float32),
+        min_similarity=0.5,
+        untracked_s=np.array([8.0, 9.0]) if frames else np.zeros(0),
+        stage_seconds={"read": 0.1, "track": 0.4} if stage_seconds is None else stage_seconds,
+        elapsed_s=0.4 if stage_seconds is None else 0.0,  # one stage beside the other
+        warnings=("The depth scale looks odd.",),
+    )
+
+
+def drift():
+    def error(ate_m, rpe_m, rpe_deg):
+        return TrajectoryError(np.zeros(6), np.eye(4), np.zeros(6), ate_m, rpe_m, rpe_deg, 0.75)
+
+    loops = tuple(LoopTruth(1.0, 1.0, 1.0, 1.0, verdict) for verdict in VERDICTS)
+    before, after = error(0.05, 0.03, 2.0), error(0.02, math.nan, math.nan)
+    return DriftReport(before, after, loops, 0.02, 0.9, 1.0, 12.5)
+
+
+def test_counts():
+    summary = summarise(result(), drift())
+    assert (summary["frames_tracked"], summary["frames_untracked"]) == (8, 2)
+    assert (summary["keyframes"], summary["links"]) == (0, 1)
+    assert summary["loops_tried"] == 5
+    assert summary["loops_accepted"] == 2
+    assert summary["loops_outvoted"] == 2
+    assert (summary["loops_judged"], summary["loops_false"]) == (2, 1)
+    assert summary["warnings"] == ["The depth scale looks odd."]
+
+
+def test_a_part_of_the_map_that_was_not_joined_is_counted():
+    keyframes = tuple(
+        Keyframe(k, float(k), np.eye(4), None, None, segment=k // 2) for k in range(5)
+    )
+    T_world_kf = np.tile(np.eye(4), (5, 1, 1))
+    T_world_kf[2:4] = np.nan
+    parted = replace(
+        result(),
+        keyframes=keyframes,
+        T_world_kf=T_world_kf,
+        unjoined_s=np.array([9.0]),
+        session_starts_s=np.array([4.0]),
+    )
+    summary = summarise(parted, None)
+    assert (summary["sessions"], summary["segments"]) == (2, 2)
+    assert (summary["frames_untracked"], summary["frames_unjoined"]) == (2, 1)
+
+
+def test_errors_stand_beside_how_they_were_taken():
+    summary = summarise(result(), drift())
+    assert (summary["ate_before_m"], summary["ate_after_m"]) == (0.05, 0.02)
+    assert summary["rpe_translation_before_m"] == 0.03
+    assert summary["rpe_rotation_before_deg"] == 2.0
+    assert summary["rpe_translation_after_m"] is summary["rpe_rotation_after_deg"] is None
+    assert (summary["alignment"], summary["scale"]) == ("SE(3)", 1.0)
+    assert (summary["association_tolerance_s"], summary["rpe_interval_s"]) == (0.02, 1.0)
+    assert (summary["matched_share"], summary["truth_coverage"]) == (0.75, 0.9)
+    assert summary["truth_length_m"] == 12.5
+
+
+def test_timings_are_per_frame_whether_tracked_or_not():
+    summary = summarise(result(), drift())
+    assert summary["frames_per_second"] == pytest.approx(25.0)
+    assert summary["stage_seconds"] == {"read": 0.1, "track": 0.4}
+    assert summary["stage_ms_per_frame"] == pytest.approx({"read": 10.0, "track": 40.0})
+
+
+def test_without_truth_or_frames_the_same_keys_are_unknown():
+    summary = summarise(result((), frames=0, stage_seconds={}), None)
+    assert list(summary) == list(summarise(result(), drift()))
+    for name in ("ate_before_m", "ate_after_m", "loops_false", "alignment", "frames_per_second"):
+        assert summary[name] is None
+    assert summary["stage_ms_per_frame"] == {}
+
+
+def test_certificate_is_told_without_its_curve():
+    assert summarise(result(), None)["certificate"] is None
+    assert summarise(result(), None)["min_similarity"] == 0.5
+    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+    known |= {"recognizer": "w", "fingerprint": "sha256:0", "data": "floors", "pairs": 120}
+    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
+    known |= {"resampled": "images", **dict.fromkeys(ranges, (0.25, 0.75))}
+    calibration = Calibration(Certificate.model_validate(known), np.empty(0, np.float32))
+    told = summarise(replace(result(), calibration=calibration), None)["certificate"]
+    assert set(told) == set(Certificate.model_fields) - {"curve"}
+    assert (told["data"], told["pairs"], told["fingerprint"]) == ("floors", 120, "sha256:0")
+    assert told["threshold_interval"] == [0.25, 0.75]
+
+
+def test_the_summary_is_plain_json():
+    text = json.dumps(summarise(result(), drift()), allow_nan=False)
+    assert json.loads(text) == summarise(result(), drift())
