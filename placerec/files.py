@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output files that are either complete or not there at all."""
+"""Files that are written whole or not at all, and where what can be had again is kept."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from placerec.errors import LoopcloseError
+
+Progress = Callable[[int, int | None], None]
+"""Is told how much is done, and of how much, None where nobody knows."""
 
 
 def cache_folder() -> Path:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from placerec.errors import LoopcloseError
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 class SlamError(LoopcloseError):

@@ -13,7 +13,8 @@ from tqdm import tqdm
 from placerec.datasets import PlaceDataset, open_collection, open_dataset
 from placerec.datasets.images import images_in
 from placerec.datasets.place_dataset import keep_readable
-from placerec.evaluation.embeddings import Progress, embed_dataset
+from placerec.evaluation.embeddings import embed_dataset
+from placerec.files import Progress
 from placerec.recognizer import PlaceRecognizer
 
 RECOGNIZER = "NAME|MODULE:CLASS|FILE"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from placerec.commands.data import open_images, progress_bar
 from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
-from placerec.evaluation.embeddings import Progress
+from placerec.files import Progress
 from placerec.recognizer import WEIGHTS_SUFFIX, cause_of, find, imported
 from placerec.recognizers.fitted_file import Fitted, write_fitted
 

@@ -79,7 +79,7 @@ class _TrainingBar:
         self._bar = tqdm(total=steps, desc="training", unit="step", leave=False, disable=hidden)
         self.close = self._bar.close
 
-    def look(self, done: int, total: int) -> None:
+    def look(self, done: int, total: int | None) -> None:
         self._show(f"looking at image {done} of {total}")
 
     def follow(self, training: "Training") -> None:

@@ -5,7 +5,6 @@ import hashlib
 import io
 import struct
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from placerec.checked_recognizer import CheckedRecognizer
 from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
-from placerec.files import cache_folder, write_atomically
+from placerec.files import Progress, cache_folder, write_atomically
 from placerec.recognizer import PlaceRecognizer
 
 LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
@@ -110,10 +109,6 @@ def _version(library: str) -> str:
         return version(library)
     except PackageNotFoundError:  # a checkout that was not installed, or another build of OpenCV
         return "unknown"
-
-
-Progress = Callable[[int, int], None]
-"""Called with how many images are done, and of how many."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from placerec.checked_recognizer import COSINES, CheckedRecognizer, Comparer, Em
 from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
 from placerec.evaluation.bootstrap import Intervals, bootstrap
-from placerec.evaluation.embeddings import EmbeddingCache, Progress, embed_dataset, fingerprint_of
+from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset, fingerprint_of
 from placerec.evaluation.precision_recall import Evaluation, evaluate
+from placerec.files import Progress
 from placerec.recognizer import PlaceRecognizer
 
 BATCH = 10_000

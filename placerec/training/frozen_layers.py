@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The part of a network that is not trained, and what it makes of the training images."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from placerec.errors import RecognizerError
+from placerec.files import Progress
 from placerec.networks import PlaceNetwork
 from placerec.training.images import Augmentation, PlaceImages
 
 IMAGES_PER_PASS = 32
-Progress = Callable[[int, int], None]
-"""Called with how many images were looked at, and of how many."""
 
 
 class EarlyLayers:

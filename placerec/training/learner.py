@@ -10,9 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from placerec.files import Progress
 from placerec.networks import PlaceNetwork
 from placerec.training.config import Loss, TrainingConfig
-from placerec.training.frozen_layers import IMAGES_PER_PASS, EarlyLayers, Progress
+from placerec.training.frozen_layers import IMAGES_PER_PASS, EarlyLayers
 from placerec.training.image_sets import ImageSets
 from placerec.training.images import PlaceImages
 from placerec.training.losses import (

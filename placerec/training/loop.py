@@ -11,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from placerec.errors import RecognizerError
+from placerec.files import Progress
 from placerec.networks import PlaceNetwork
 from placerec.training.checkpoint import Checkpoint, read_checkpoint, settings_of, write_checkpoint
 from placerec.training.config import TrainingConfig
-from placerec.training.frozen_layers import Progress
 from placerec.training.image_sets import ImageSets, build_image_sets, sample_images, sample_scenes
 from placerec.training.images import PlaceImages
 from placerec.training.learner import Learner

@@ -12,6 +12,7 @@ from torch import Tensor
 from placerec.certificate import Certificate
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
+from placerec.files import Progress
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pooling import Vlad
 from placerec.networks.pretrained import load_pretrained
@@ -20,7 +21,7 @@ from placerec.networks.whitening import merge, whiten
 from placerec.recognizers.learned import LearnedRecognizer
 from placerec.training.checkpoint import DIGITS
 from placerec.training.config import TrainingConfig, TrainingPlan
-from placerec.training.frozen_layers import IMAGES_PER_PASS, Progress
+from placerec.training.frozen_layers import IMAGES_PER_PASS
 from placerec.training.images import Augmentation
 from placerec.training.log import read_log, write_plot
 from placerec.training.loop import LOG_NAME, Training

@@ -12,8 +12,8 @@ from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 
-from placerec.files import cache_folder
-from slam.datasets.transfer import Progress, download
+from placerec.files import Progress, cache_folder
+from slam.datasets.transfer import download
 from slam.types import SlamError
 
 _CORRUPTED = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError)

@@ -7,13 +7,11 @@ import re
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
+from placerec.files import Progress
 from slam.types import SlamError
-
-Progress = Callable[[int, int | None], None]
-"""Called with the bytes at hand and the bytes in all, where the server says how many."""
 
 _TRIES = 5
 _PAUSE_S = 0.5

@@ -4,13 +4,10 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placerec.files import write_atomically
 from slam.geometry import se3
-from slam.types import FloatArray, SlamError, Trajectory
-
-IntArray = NDArray[np.int64]
+from slam.types import FloatArray, IntArray, SlamError, Trajectory
 
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
 

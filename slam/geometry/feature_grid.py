@@ -4,9 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.types import Camera, Features, FloatArray
-
-IntArray = NDArray[np.int64]
+from slam.types import Camera, Features, FloatArray, IntArray
 
 _CELL_PX = 20.0
 

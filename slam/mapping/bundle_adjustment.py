@@ -14,9 +14,7 @@ from scipy.sparse.linalg import splu
 
 from slam.geometry import se3
 from slam.geometry.reprojection import Measurements, robust_costs, robust_weights
-from slam.types import Camera, FloatArray
-
-IntArray = NDArray[np.int64]
+from slam.types import Camera, FloatArray, IntArray
 
 _FIRST_DAMPING = 1e-5
 _SMALL_GAIN = 1e-4  # relative; less is not worth another step

@@ -12,8 +12,8 @@ from slam.config import PYRAMID_SCALE
 from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.reprojection import Measurements, project
-from slam.mapping.landmarks import UNSEEN, IntArray, Landmarks
-from slam.types import Camera, Features, FloatArray
+from slam.mapping.landmarks import UNSEEN, Landmarks
+from slam.types import Camera, Features, FloatArray, IntArray
 
 _MIN_DEPTH_M = 0.1
 _MIN_COSINE = 0.5  # a landmark seen from more than 60 degrees aside looks different

@@ -4,9 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.types import FloatArray
-
-IntArray = NDArray[np.int64]
+from slam.types import FloatArray, IntArray
 
 UNSEEN = -1
 """What stands for no landmark, and for no keyframe, among their ids."""

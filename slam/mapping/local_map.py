@@ -8,9 +8,8 @@ import numpy as np
 from slam.config import Config
 from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.landmarks import IntArray
 from slam.mapping.map_adjustment import MapPart, adjusted, put_back, take_part
-from slam.types import Camera, Features, FloatArray
+from slam.types import Camera, Features, FloatArray, IntArray
 
 _WINDOW = 10  # keyframes that are adjusted together when a new one enters
 _OUTER = 10  # further ones that see the same landmarks and hold the window in place

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from slam.geometry.reprojection import Measurements
 from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.landmarks import UNSEEN, IntArray
-from slam.types import Camera, FloatArray, Keyframe
+from slam.mapping.landmarks import UNSEEN
+from slam.types import Camera, FloatArray, IntArray, Keyframe
 
 _MIN_OBSERVERS = 2  # a point that one camera alone sees says nothing of where it is
 

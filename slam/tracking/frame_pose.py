@@ -11,8 +11,7 @@ from slam.geometry.refinement import refine_pose
 from slam.geometry.relative_pose import pose_by_ransac
 from slam.geometry.reprojection import Measurements
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.landmarks import IntArray
-from slam.types import Features, FloatArray, Frame, Rejection, RejectionReason
+from slam.types import Features, FloatArray, Frame, IntArray, Rejection, RejectionReason
 
 _RADIUS_PX = 4.0  # how far from its place a landmark is looked for once the pose is known
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slam.geometry import se3
-from slam.mapping.landmarks import IntArray
-from slam.types import FloatArray, Keyframe
+from slam.types import FloatArray, IntArray, Keyframe
 
 # Not placed for longer than this, the camera may be anywhere. Where no frame failed in between, as
 # with a slow camera, it may also take so many times its last step, if that is longer.

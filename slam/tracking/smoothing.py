@@ -9,8 +9,7 @@ from scipy.sparse.linalg import spsolve
 
 from slam.config import MotionConfig
 from slam.geometry import se3
-from slam.mapping.landmarks import IntArray
-from slam.types import FloatArray, Trajectory
+from slam.types import FloatArray, IntArray, Trajectory
 
 # How well single frames are placed, per axis. What is taken out of fr1_desk and fr1_xyz has median
 # lengths of 5 and 3 mm. A frame that is wildly wrong is not expected, and pulls at its neighbours.

@@ -21,9 +21,7 @@ from placerec.evaluation.measurement import Failed, Measured, Measurement
 from placerec.evaluation.report.costs import PAPER, cost_drawings, cost_rows
 from placerec.evaluation.report.examples import Drawing, Match, drawing, first_matches
 from placerec.evaluation.tables import EARLIER, notes
-
-Progress = Callable[[int, int], None]
-"""Called with how many measurements are drawn, and of how many."""
+from placerec.files import Progress
 
 PACKAGES = ("loopclose", "numpy", "opencv-python-headless", "torch", "matplotlib")
 
