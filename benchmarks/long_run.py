@@ -41,7 +41,7 @@ from slam.evaluation.drift import judge_loops, trajectory_error
 from slam.result import SlamResult
 from slam.system import Slam
 from slam.tracking.odometry import TrackedFrame
-from slam.types import Camera, FloatArray, Frame, Trajectory, final_rejection
+from slam.types import Camera, FloatArray, Frame, Trajectory
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 FRAMES_PER_S, LAP_S = 15.0, 12.0
@@ -193,7 +193,7 @@ def judged(result: SlamResult, truth: Trajectory) -> tuple[int, int, int, tuple[
     """Return how many frames got lost, how many loops hold and are false, and both errors."""
     config = EvaluationConfig()
     loops = judge_loops(result.attempts, result.keyframes, truth, config)
-    kept = sum(final_rejection(each) is None for each in result.attempts)
+    kept = sum(each.rejection is None for each in result.attempts)
     false = sum(each.is_false is True for each in loops)
     estimates = (result.odometry, result.trajectory)
     before_m, after_m = (trajectory_error(each, truth, config).ate_rmse_m for each in estimates)

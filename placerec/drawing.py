@@ -44,7 +44,6 @@ _STYLE = {
     "legend.handlelength": 1.6,
     "legend.columnspacing": 1.2,
     "path.simplify_threshold": 0.3,
-    "figure.dpi": 110,
 }
 
 # Inside a page these become its CSS variables, so that one drawing suits light and dark.
@@ -84,7 +83,7 @@ def svg(figure: Figure) -> bytes:
 
 def png(figure: Figure) -> bytes:
     """Return a figure as a PNG file; the same figure, the same bytes."""
-    return _save(figure, "png", metadata={"Software": None})
+    return _save(figure, "png", dpi=110, metadata={"Software": None})
 
 
 def draw(name: str, alt: str, paint: Paint, height_in: float = 3.8) -> Markup:

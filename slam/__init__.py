@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slam.output.run_folder import write_run
     from slam.result import SlamResult
     from slam.system import Slam
-    from slam.tracking.odometry import TrackedFrame
+    from slam.tracking.tracked_frame import TrackedFrame
     from slam.types import (
         Camera,
         Frame,
@@ -40,7 +40,7 @@ _HOME = {
     "Slam": "slam.system",
     "SlamError": "slam.types",
     "SlamResult": "slam.result",
-    "TrackedFrame": "slam.tracking.odometry",
+    "TrackedFrame": "slam.tracking.tracked_frame",
     "Trajectory": "slam.types",
     "compare_drift": "slam.evaluation.drift",
     "open_sequence": "slam.datasets",

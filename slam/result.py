@@ -51,7 +51,7 @@ class SlamResult:
         camera: the camera it was run with.
         keyframes: the K keyframes in order of time.
         T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
-        odometry: every placed frame, by tracking alone (drifting); segments are tied by one motion.
+        odometry: every placed frame, by tracking alone (drifting); one motion joins two segments.
         trajectory: the same, corrected. Both are smoothed where the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.

@@ -6,28 +6,25 @@ import numpy as np
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor
-from slam.loops.atlas import tied
+from slam.loops.atlas import in_one_odometry_frame
 from slam.loops.back_end import BackEnd, ClosedLoops
-from slam.mapping.map_adjustment import closed_map, too_large, where_tracking_put
+from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.map_adjustment import adjust_with_loops, at_tracked_poses, size_warning
 from slam.result import SlamResult
 from slam.stage_clock import StageClock
-from slam.tracking.frame_log import Rides, check_frame, checked_pose
-from slam.tracking.odometry import RgbdOdometry, TrackedFrame
+from slam.tracking.frame_log import FrameLog, check_frame, checked_pose
+from slam.tracking.given_poses import GivenPoses
+from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
+from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
     Camera,
     FloatArray,
     Frame,
-    Keyframe,
-    Link,
     LoopAttempt,
     Rejection,
-    RelativePose,
     SlamError,
     Trajectory,
-    preview,
 )
 
 
@@ -44,22 +41,24 @@ class Slam:
     ) -> None:
         self._camera = camera
         self._config = config or Config()
-        self._odometry = RgbdOdometry(camera, self._config)
-        self._extractor = FeatureExtractor(camera, self._config.features)
         self.clock = StageClock()
+        self._odometry = RgbdOdometry(camera, self._config)
+        self._given_poses = GivenPoses(camera, self._config)
+        self._front_end: RgbdOdometry | GivenPoses = self._odometry  # where frames come through
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
-        self._last: Keyframe | None = None  # of this session
-        self._added = 0
-        self._rides = Rides()
+        self._frames = FrameLog()
         self._last_s = -np.inf
         self._is_new_session = False
         self._session_starts_s: list[float] = []
-        self._door = ""
 
     @property
     def has_keyframes(self) -> bool:
         """Whether there is anything to finish."""
         return not self._back_end.is_empty
+
+    @property
+    def _has_begun(self) -> bool:
+        return self._last_s > -np.inf
 
     def process(self, frame: Frame) -> TrackedFrame | Rejection:
         """Take the next frame of the camera and return where it was placed, or why it was not.
@@ -70,16 +69,10 @@ class Slam:
                 was done until then can be finished.
         """
         check_frame(frame, self._camera, self._last_s)
-        self._enter("process", frame)
+        self._enter(self._odometry, frame)
         with self.clock.stage("track"):
             tracked = self._odometry.track(frame)
-        if isinstance(tracked, Rejection):
-            self._rides.lose(frame.timestamp_s)
-            return tracked
-        if tracked.new_keyframe is None:
-            self._rides.add(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam)
-        else:
-            self._insert(tracked.new_keyframe, tracked.links, frame)
+        self._take(frame, tracked)
         return tracked
 
     def start_session(self) -> None:
@@ -87,9 +80,9 @@ class Slam:
 
         Loops tell how the sessions lie to each other. The camera stays the same, and time goes on.
         """
-        self._is_new_session = self._door != ""
-        self._last = None
+        self._is_new_session = self._has_begun
         self._odometry.start_session()
+        self._given_poses.start_session()
 
     def add_keyframe(self, frame: Frame, T_odom_cam: FloatArray) -> tuple[LoopAttempt, ...]:
         """Take a keyframe whose (4, 4) pose comes from elsewhere and return its loop candidates.
@@ -101,30 +94,29 @@ class Slam:
         """
         T_odom_cam = checked_pose(frame.timestamp_s, T_odom_cam)
         check_frame(frame, self._camera, self._last_s)
-        self._enter("add_keyframe", frame)
-        last = self._last
-        keyframe = Keyframe(
-            id=self._added,
-            timestamp_s=frame.timestamp_s,
-            T_odom_cam=T_odom_cam,
-            features=self._extractor.extract(frame),
-            preview=preview(frame),
-            turning_rad_s=_turning_rad_s(last, frame.timestamp_s, T_odom_cam) if last else 0.0,
-            segment=len(self._session_starts_s),
-        )
-        links: tuple[Link, ...] = ()
-        if last:
-            T_last_cam = se3.inverse(last.T_odom_cam) @ T_odom_cam
-            motion = RelativePose(T_last_cam, self._outside_information())
-            links = (Link(last.id, keyframe.id, motion),)
-        self._insert(keyframe, links, frame)
-        self._added += 1
+        self._enter(self._given_poses, frame)
+        self._take(frame, self._given_poses.track(frame, T_odom_cam))
         return self._back_end.settle()
 
-    def _insert(self, keyframe: Keyframe, links: tuple[Link, ...], frame: Frame) -> None:
-        self._back_end.insert(keyframe, links, frame.rgb)
-        self._last = keyframe
-        self._rides.add(frame.timestamp_s, keyframe.id, np.eye(4))
+    def _enter(self, front_end: RgbdOdometry | GivenPoses, frame: Frame) -> None:
+        if self._has_begun and front_end is not self._front_end:
+            raise SlamError(
+                f"this run goes through {self._front_end.door}; start another Slam for"
+                f" {front_end.door}"
+            )
+        self._front_end, self._last_s = front_end, frame.timestamp_s
+        if self._is_new_session:
+            self._session_starts_s.append(frame.timestamp_s)
+            self._is_new_session = False
+
+    def _take(self, frame: Frame, tracked: TrackedFrame | Rejection) -> None:
+        if isinstance(tracked, Rejection):
+            self._frames.lose(frame.timestamp_s)
+        elif tracked.new_keyframe is None:
+            self._frames.add(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam)
+        else:
+            self._back_end.insert(tracked.new_keyframe, tracked.links, frame.rgb)
+            self._frames.add(frame.timestamp_s, tracked.new_keyframe.id, np.eye(4))
 
     def T_world_odom(self) -> FloatArray:
         """Return the (4, 4) correction as of now: from the odometry's frame to the world.
@@ -137,7 +129,7 @@ class Slam:
             RecognizerError: the recognizer failed on one of the last keyframes; what was done until
                 then can be finished.
         """
-        return self._back_end.T_world_odom(self._rides.per_keyframe())
+        return self._back_end.T_world_odom(self._frames.per_keyframe())
 
     def settle(self) -> None:
         """Wait until all keyframes are taken in.
@@ -161,16 +153,17 @@ class Slam:
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        loops = self._back_end.solve(self._rides.per_keyframe())
-        T_world_kf = loops.T_world_kf
-        unadjusted = too_large(len(keyframes)) if self._door == "process" else ()
-        if self._door == "process":
+        loops = self._back_end.solve(self._frames.per_keyframe())
+        T_world_kf, the_map = loops.T_world_kf, self._front_end.map
+        unadjusted: tuple[str, ...] = ()
+        if the_map is not None:
             self._odometry.settle()
-            keyframes = where_tracking_put(self._odometry.map, keyframes)
+            keyframes = at_tracked_poses(the_map, keyframes)
+            unadjusted = size_warning(len(keyframes))
             if not unadjusted:
                 with self.clock.stage("adjust"):
-                    T_world_kf = self._adjusted(loops)
-        keyframes = tied(keyframes, loops.links)
+                    T_world_kf = _adjusted(the_map, loops)
+        keyframes = in_one_odometry_frame(keyframes, loops.links)
         has_place = np.isfinite(T_world_kf)
         T_odom_kf = np.array([each.T_odom_cam for each in keyframes])
         calibration = self._back_end.calibration()
@@ -184,17 +177,17 @@ class Slam:
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
             min_similarity=self._back_end.min_similarity,
-            untracked_s=self._rides.untracked_s(T_world_kf),
+            untracked_s=self._frames.untracked_s(T_world_kf),
             stage_seconds=dict(self.clock.seconds),
             warnings=(
                 *failures,
-                *self._rides.warnings(T_world_kf),
+                *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
                 *(calibration.warnings if calibration else ()),
             ),
             calibration=calibration,
-            unjoined_s=self._rides.unjoined_s(T_world_kf),
+            unjoined_s=self._frames.unjoined_s(T_world_kf),
             session_starts_s=np.array(self._session_starts_s),
             elapsed_s=self.clock.elapsed_s,
         )
@@ -209,34 +202,18 @@ class Slam:
             return (f"{left_out} is left out: {error}",)
         return ()
 
-    def _adjusted(self, loops: ClosedLoops) -> FloatArray:
-        T_world_kf = loops.T_world_kf.copy()
-        placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0])).tolist()
-        pairs = loops.trusted_pairs()
-        final = closed_map(self._odometry.map, placed, T_world_kf[placed], pairs)
-        T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
-        return T_world_kf
-
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
-        trajectory = self._rides.trajectory(T_any_kf)
-        if self._door != "process":  # an odometry from elsewhere knows best how its camera moves
+        trajectory = self._frames.trajectory(T_any_kf)
+        if self._front_end is self._given_poses:  # that odometry knows best how its camera moves
             return trajectory
         return smoothed(trajectory, self._config.motion, self._session_starts_s)
 
-    def _outside_information(self) -> FloatArray:
-        rotation_rad = np.radians(self._config.graph.outside_rotation_sigma_deg)
-        translation_m = self._config.graph.outside_translation_sigma_m
-        return np.diag([rotation_rad**-2.0] * 3 + [translation_m**-2.0] * 3)
 
-    def _enter(self, door: str, frame: Frame) -> None:
-        if self._door not in ("", door):
-            raise SlamError(f"this run goes through {self._door}; start another Slam for {door}")
-        self._door, self._last_s = door, frame.timestamp_s
-        if self._is_new_session:
-            self._session_starts_s.append(frame.timestamp_s)
-            self._is_new_session = False
-
-
-def _turning_rad_s(last: Keyframe, timestamp_s: float, T_odom_cam: FloatArray) -> float:
-    turned_rad = se3.rotation_angle(se3.inverse(last.T_odom_cam) @ T_odom_cam)
-    return float(turned_rad) / (timestamp_s - last.timestamp_s)
+def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> FloatArray:
+    """Return the (K, 4, 4) poses to which the map brings the loops' solution, NaN as there."""
+    T_world_kf = loops.T_world_kf.copy()
+    placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0])).tolist()
+    pairs = [(each.match_id, each.query_id) for each in loops.attempts if each.rejection is None]
+    final = adjust_with_loops(the_map, placed, T_world_kf[placed], pairs)
+    T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
+    return T_world_kf

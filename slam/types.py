@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The values that travel between the stages; all frozen, none with behaviour of its own."""
+"""The values that travel between the stages; all frozen, and without algorithms."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +11,10 @@ from placerec.errors import LoopcloseError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+PREVIEW_SCALE = 0.5
+"""Size of a keyframe's preview, of its frame's."""
 
 
 class SlamError(LoopcloseError):
@@ -90,7 +94,7 @@ class Keyframe:
         timestamp_s: seconds.
         T_odom_cam: (4, 4) in the odometry's (drifting) frame, its segment's own until the end.
         features: ORB features.
-        preview: the frame at half resolution, for the report and the fused point cloud.
+        preview: the frame at `PREVIEW_SCALE`, for the report and the fused point cloud.
         turning_rad_s: how fast the camera turned; a rolling shutter bends such an image.
         segment: a number per stretch in which the camera was not lost and no session ended.
     """
@@ -160,7 +164,7 @@ class Verification:
 
 
 MIN_TRUSTED_WEIGHT = 0.5
-"""A motion that the pose graph gives no more weight than this is left out; most end at 0 or 1."""
+"""A motion that the pose graph gives no more weight than this is outvoted; most end at 0 or 1."""
 
 
 @dataclass(frozen=True)
@@ -171,9 +175,9 @@ class LoopAttempt:
         query_id, match_id: keyframe ids; the query is the later one.
         similarity: of the two embeddings, -1 to 1; their cosine for most recognizers.
         verification: geometry's answer, or None where similarity already ruled the pair out.
-        outcome: the measured motion of an accepted loop (reference = match), or the rejection.
-        weight: the pose graph's final trust in an accepted loop, 0 (ignored) to 1; None before
-            the graph was solved and for rejected candidates.
+        outcome: the motion of a loop in use (reference = match), or why it is not in use.
+        weight: the pose graph's final trust in a loop that it was given, 0 (ignored) to 1; None
+            before the graph was solved and for candidates that it was not given.
     """
 
     query_id: int
@@ -182,6 +186,17 @@ class LoopAttempt:
     verification: Verification | None
     outcome: RelativePose | Rejection
     weight: float | None = None
+
+    @property
+    def rejection(self) -> Rejection | None:
+        """Why the loop is not in use; None where it is."""
+        return self.outcome if isinstance(self.outcome, Rejection) else None
+
+    @property
+    def motion(self) -> RelativePose | None:
+        """The motion that was measured, also of a loop that is not in use; None without one."""
+        outcomes = (self.outcome, self.verification.outcome if self.verification else None)
+        return next((each for each in outcomes if isinstance(each, RelativePose)), None)
 
 
 @dataclass(frozen=True)
@@ -207,39 +222,3 @@ class Link:
     ref_id: int
     query_id: int
     motion: RelativePose
-
-
-def final_rejection(attempt: LoopAttempt) -> Rejection | None:
-    """Return why a loop is not in use, or None if geometry and the pose graph both believe it."""
-    if isinstance(attempt.outcome, Rejection):
-        return attempt.outcome
-    if attempt.weight is not None and attempt.weight <= MIN_TRUSTED_WEIGHT:
-        return Rejection(RejectionReason.OUTVOTED, attempt.weight, MIN_TRUSTED_WEIGHT)
-    return None
-
-
-def measured_motion(attempt: LoopAttempt) -> RelativePose | None:
-    """Return the motion that geometry measured, also of a loop that the graph outvoted."""
-    if isinstance(attempt.outcome, RelativePose):
-        return attempt.outcome
-    found = attempt.verification.outcome if attempt.verification else None
-    return found if isinstance(found, RelativePose) else None
-
-
-PREVIEW_SCALE = 0.5
-
-
-def preview(frame: Frame) -> Frame:
-    """Return the frame at half resolution: colour averaged, depth picked (never mixed).
-
-    Pixel (u, v) of the preview's depth is pixel (2 u, 2 v) of the frame's.
-    """
-    height, width = (size // 2 * 2 for size in frame.depth_m.shape)
-    rgb = frame.rgb[:height, :width]
-    rows = np.add(rgb[::2], rgb[1::2], dtype=np.uint16)
-    summed = rows[:, ::2] + rows[:, 1::2]
-    return Frame(
-        timestamp_s=frame.timestamp_s,
-        rgb=(summed // 4).astype(np.uint8),
-        depth_m=frame.depth_m[:height:2, :width:2].copy(),
-    )

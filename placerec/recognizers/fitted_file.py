@@ -29,7 +29,7 @@ from placerec.recognizer import (
 METADATA_KEY = "placerec.fitted"
 NETWORK_READER = "placerec.recognizers.learned:LearnedRecognizer"
 """Of every file that is not ours: found when it is needed, because it takes torch."""
-SHIPPED = Path(__file__).parent / "weights"
+SHIPPED = Path(__file__).parents[1] / "weights"
 
 Array = NDArray[Any]
 

@@ -20,7 +20,7 @@ from placerec.networks import TRUNKS, Trunk
 from placerec.networks.preprocessing import one_thread
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
 
-DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "default.safetensors"
+DEFAULT_WEIGHTS = Path(__file__).parents[1] / "weights" / "default.safetensors"
 TRAINED_ON = ("ie_tower:train",)
 """Of what is measured on, what the default weights have seen: see their model card."""
 FRAMES_PER_PASS = 32

@@ -16,8 +16,6 @@ from slam.types import (
     LoopAttempt,
     SlamError,
     Trajectory,
-    final_rejection,
-    measured_motion,
 )
 
 MAX_TRUTH_GAP_S = 0.5
@@ -209,12 +207,12 @@ def _judge(
         return LoopTruth(np.nan, np.nan, np.nan, np.nan, None)
     T_match_query = se3.inverse(T_truth_match) @ T_truth_query
     distance_m, angle_deg = _size(T_match_query)
-    measured = measured_motion(attempt)
+    measured = attempt.motion
     if measured is None:
         return LoopTruth(np.nan, np.nan, distance_m, angle_deg, None)
     error_m, error_deg = _size(se3.inverse(T_match_query) @ measured.T_ref_query)
     is_off = error_m > config.false_loop_translation_m or error_deg > config.false_loop_rotation_deg
-    is_false = is_off if final_rejection(attempt) is None else None
+    is_false = is_off if attempt.rejection is None else None
     return LoopTruth(error_m, error_deg, distance_m, angle_deg, is_false)
 
 

@@ -82,8 +82,8 @@ class FeatureExtractor:
 
 def _most_levels(camera: Camera) -> int:
     # On a smaller level no feature fits, and OpenCV fails where it has no pixel at all.
-    room = min(camera.width, camera.height) / (2 * _BORDER_PX + 1)
-    return 1 + int(np.log(max(room, 1.0)) / np.log(PYRAMID_SCALE))
+    patches = min(camera.width, camera.height) / (2 * _BORDER_PX + 1)
+    return 1 + int(np.log(max(patches, 1.0)) / np.log(PYRAMID_SCALE))
 
 
 def match(a: Features, b: Features, max_distance: int) -> NDArray[np.int64]:

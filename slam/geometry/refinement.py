@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust least squares for the rigid motion between two views with depth.
+"""Robust least squares for a camera's pose, and for the motion between two views with depth.
 
-Each match is measured twice: the reference's point as the query should see it, and the query's
-point as the reference should see it.
+Of two views each match is measured twice: the reference's point as the query should see it, and
+the query's point as the reference should see it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,24 @@ from slam.geometry.reprojection import Measurements, robust_weights
 from slam.types import Camera, Features, FloatArray
 
 _ROUNDS = 3  # each decides anew who agrees
-_STEPS = 4
-_SMALL_POSE_STEP = 1e-5
+# At most so many steps, and none after one whose norm, of this order, is less than that.
+_POSE_STEPS = (4, 1e-5, np.inf)
+_MOTION_STEPS = (8, 1e-6, 2)
+
+_NormalEquations = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def _gauss_newton(
+    T_a_b: FloatArray, equations: _NormalEquations, steps: int, small: float, order: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return T_a_b after Gauss-Newton steps on its right, and the (6, 6) Hessian of the last."""
+    for _ in range(steps):
+        hessian, gradient = equations(T_a_b)
+        step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
+        T_a_b = T_a_b @ se3.exp(step)
+        if np.linalg.norm(step, order) < small:
+            break
+    return T_a_b, hessian
 
 
 @dataclass(frozen=True)
@@ -43,13 +61,13 @@ def refine_pose(
     """
     inlier_mask = np.ones(len(points_m), dtype=bool)
     for _ in range(_ROUNDS):
-        points, seen = points_m[inlier_mask], measured.select(inlier_mask)
-        for _ in range(_STEPS):
-            hessian, gradient = _pose_equations(T_world_cam, points, seen, camera)
-            step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
-            T_world_cam = T_world_cam @ se3.exp(step)
-            if np.abs(step).max() < _SMALL_POSE_STEP:
-                break
+        equations = partial(
+            _pose_equations,
+            points_m=points_m[inlier_mask],
+            measured=measured.select(inlier_mask),
+            camera=camera,
+        )
+        T_world_cam, hessian = _gauss_newton(T_world_cam, equations, *_POSE_STEPS)
         points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
         inlier_mask = measured.agree(points_cam_m, camera)
     return RefinedPose(T_world_cam, hessian, inlier_mask)
@@ -66,10 +84,6 @@ def _pose_equations(
     # A trace of curvature keeps the step finite where few points leave a direction open.
     hessian = weighted_J.T @ J + 1e-6 * np.eye(6)
     return hessian, weighted_J.T @ residuals.ravel()
-
-
-_MAX_STEPS = 8
-_SMALL_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -132,13 +146,9 @@ def refine(
 
     The Hessian belongs to a tangent [rotation; translation] applied on the right of T_ref_query.
     """
-    for _ in range(_MAX_STEPS):
-        hessian, gradient = _normal_equations(T_ref_query, correspondences, camera)
-        step: FloatArray = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
-        T_ref_query = T_ref_query @ se3.exp(step)
-        if np.linalg.norm(step) < _SMALL_STEP:
-            break
-    return T_ref_query, _normal_equations(T_ref_query, correspondences, camera)[0]
+    equations = partial(_motion_equations, correspondences=correspondences, camera=camera)
+    T_ref_query, _ = _gauss_newton(T_ref_query, equations, *_MOTION_STEPS)
+    return T_ref_query, equations(T_ref_query)[0]
 
 
 def residual_lengths(
@@ -153,7 +163,7 @@ def residual_lengths(
     return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals[:, :2], axis=1), np.inf)
 
 
-def _normal_equations(
+def _motion_equations(
     T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
 ) -> tuple[FloatArray, FloatArray]:
     R_ref_query = T_ref_query[:3, :3]

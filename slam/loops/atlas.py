@@ -9,20 +9,20 @@ import numpy as np
 
 from slam.config import GraphConfig
 from slam.geometry import se3
-from slam.loops.submaps import Part, joined, part_of
+from slam.loops.submaps import Submap, joined, submap_of
 from slam.pose_graph import PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose, SlamError
 
 
 @dataclass(frozen=True)
 class AtlasSolution:
-    """The largest part of the map, solved, and what is no part of it.
+    """The largest submap, solved, and what is not in it.
 
     Attributes:
-        T_world_kf: (K, 4, 4), NaN for the keyframes of other parts.
+        T_world_kf: (K, 4, 4), NaN for the keyframes of other submaps.
         weights: trust per loop key, 0 (ignored) to 1.
-        links: its motions that are no loops, those that tie its segments among them.
-        unjoined: per key of a loop in or to another part, how many loops agree on where that lies.
+        links: its motions that are no loops, those that join its segments among them.
+        unjoined: per key of a loop in or to another submap, how many loops agree where that lies.
         warnings: one sentence each.
     """
 
@@ -34,7 +34,7 @@ class AtlasSolution:
 
 
 class Atlas:
-    """Keyframes and motions, sorted into parts of the map that hang together.
+    """Keyframes and motions, sorted into submaps that motions connect.
 
     Every segment has a pose graph of its own. Whenever somebody asks, those that loops join make
     one, in which the loops between them have to prove themselves as any other loop has to.
@@ -70,17 +70,17 @@ class Atlas:
                     graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
 
     def finish(self, frames: Mapping[int, int]) -> AtlasSolution:
-        """Solve the part with the most frames, the earlier of equals; frames are per keyframe."""
-        parts = self._parts()
-        largest = _largest(parts, frames)
+        """Solve the submap with the most frames, the earlier of equals; frames are per keyframe."""
+        submaps = self._submaps()
+        largest = _largest(submaps, frames)
         solution = self._graph(largest).finish()
         T_world_kf = np.full((len(self._keyframes), 4, 4), np.nan)
-        T_world_kf[list(largest.T_part_kf)] = solution.T_world_kf
+        T_world_kf[list(largest.T_submap_kf)] = solution.T_world_kf
         return AtlasSolution(
             T_world_kf,
             solution.weights,
             tuple(largest.links),
-            self._unjoined(parts, largest),
+            self._unjoined(submaps, largest),
             solution.warnings,
         )
 
@@ -88,12 +88,12 @@ class Atlas:
         """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
 
         Raises:
-            SlamError: there is no keyframe yet, or it is not in the part with the most frames.
+            SlamError: there is no keyframe yet, or it is not in the submap with the most frames.
         """
         if not self._keyframes:
             raise SlamError("there is no keyframe yet that a correction could be known of")
-        largest, newest = _largest(self._parts(), frames), self._keyframes[-1]
-        if newest.id not in largest.T_part_kf:
+        largest, newest = _largest(self._submaps(), frames), self._keyframes[-1]
+        if newest.id not in largest.T_submap_kf:
             raise SlamError(
                 "the camera was lost or began a new session, and so far no two loops agree where"
                 " the part of the map that it is in now lies to the largest; ask again later"
@@ -102,67 +102,69 @@ class Atlas:
         graph.update()
         return graph.T_world_kf(newest.id) @ se3.inverse(newest.T_odom_cam)
 
-    def _parts(self) -> list[Part]:
-        parts = {segment: Part({}, []) for segment in self._graphs}
+    def _submaps(self) -> list[Submap]:
+        submaps = {segment: Submap({}, []) for segment in self._graphs}
         for keyframe in self._keyframes:
-            parts[keyframe.segment].T_part_kf[keyframe.id] = keyframe.T_odom_cam
+            submaps[keyframe.segment].T_submap_kf[keyframe.id] = keyframe.T_odom_cam
         for link in self._links:
-            parts[self._keyframes[link.ref_id].segment].links.append(link)
-        return joined(list(parts.values()), self._loops.values())
+            submaps[self._keyframes[link.ref_id].segment].links.append(link)
+        return joined(list(submaps.values()), self._loops.values())
 
-    def _graph(self, part: Part) -> PoseGraph:
-        segments = {self._keyframes[k].segment for k in part.T_part_kf}
+    def _graph(self, submap: Submap) -> PoseGraph:
+        segments = {self._keyframes[k].segment for k in submap.T_submap_kf}
         if len(segments) == 1:
             return self._graphs[segments.pop()]
         graph = PoseGraph(self._config)
-        T_world_part = se3.inverse(part.T_part_kf[part.first])
-        for k, T_part_kf in part.T_part_kf.items():
-            graph.add_keyframe(k, T_world_part @ T_part_kf)
-        for link in part.links:
+        T_world_submap = se3.inverse(submap.T_submap_kf[submap.first])
+        for k, T_submap_kf in submap.T_submap_kf.items():
+            graph.add_keyframe(k, T_world_submap @ T_submap_kf)
+        for link in submap.links:
             graph.add_link(link)
         for key, loop in self._loops.items():
-            if loop.ref_id in part.T_part_kf and loop.query_id in part.T_part_kf:
+            if loop.ref_id in submap.T_submap_kf and loop.query_id in submap.T_submap_kf:
                 graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
         return graph
 
-    def _unjoined(self, parts: Sequence[Part], largest: Part) -> dict[int, int]:
-        """Return how many loops tie their part to the largest, per loop that is not within it."""
-        number_of = part_of(parts)
+    def _unjoined(self, submaps: Sequence[Submap], largest: Submap) -> dict[int, int]:
+        """Return, per loop not within the largest, how many loops join its submap to that."""
+        number_of = submap_of(submaps)
         pairs = {
             key: {number_of[loop.ref_id], number_of[loop.query_id]}
             for key, loop in self._loops.items()
         }
-        home = parts.index(largest)
-        near = {part for pair in pairs.values() if home in pair for part in pair} - {home}
+        home = submaps.index(largest)
+        near = {submap for pair in pairs.values() if home in pair for submap in pair} - {home}
         return {key: int(bool(pair & near)) for key, pair in pairs.items() if pair != {home}}
 
 
-def tied(keyframes: Sequence[Keyframe], links: Sequence[Link]) -> tuple[Keyframe, ...]:
-    """Return keyframes whose T_odom_cam are those of one odometry, where links tie their segments.
+def in_one_odometry_frame(
+    keyframes: Sequence[Keyframe], links: Sequence[Link]
+) -> tuple[Keyframe, ...]:
+    """Return keyframes whose T_odom_cam are those of one odometry, where links join their segments.
 
-    A segment that hangs on no other stays where it is.
+    A segment that no link leads to stays where it is.
     """
     below: dict[int, list[Link]] = defaultdict(list)
     for link in links:
         above, segment = (keyframes[k].segment for k in (link.ref_id, link.query_id))
         if above != segment:
             below[above].append(link)
-    hanging = {keyframes[tie.query_id].segment for ties in below.values() for tie in ties}
-    T_odom_segment = {each: np.eye(4) for each in below if each not in hanging}
+    not_first = {keyframes[join.query_id].segment for joins in below.values() for join in joins}
+    T_odom_segment = {each: np.eye(4) for each in below if each not in not_first}
     todo = list(T_odom_segment)
     for above in todo:
-        for tie in below[above]:
-            ref, first = keyframes[tie.ref_id], keyframes[tie.query_id]
-            T_odom_first = T_odom_segment[above] @ ref.T_odom_cam @ tie.motion.T_ref_query
+        for join in below[above]:
+            ref, first = keyframes[join.ref_id], keyframes[join.query_id]
+            T_odom_first = T_odom_segment[above] @ ref.T_odom_cam @ join.motion.T_ref_query
             T_odom_segment[first.segment] = T_odom_first @ se3.inverse(first.T_odom_cam)
             todo.append(first.segment)
     return tuple(
         replace(each, T_odom_cam=T_odom_segment[each.segment] @ each.T_odom_cam)
-        if each.segment in hanging
+        if each.segment in not_first
         else each
         for each in keyframes
     )
 
 
-def _largest(parts: Sequence[Part], frames: Mapping[int, int]) -> Part:
-    return max(parts, key=lambda part: part.size(frames))
+def _largest(submaps: Sequence[Submap], frames: Mapping[int, int]) -> Submap:
+    return max(submaps, key=lambda submap: submap.size(frames))

@@ -28,7 +28,7 @@ from slam.types import (
     RejectionReason,
 )
 
-_ROOM = 8  # keyframes in line: a camera that turns fast makes some in a row, and then fewer
+_MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and then fewer
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ClosedLoops:
     """What all keyframes together say.
 
     Attributes:
-        T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's part of the map to the largest.
+        T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's submap to the largest.
         attempts: every loop candidate, with its final weight.
         links: the motions that are no loops, of the keyframes that have a place.
         warnings: one sentence each.
@@ -47,20 +47,12 @@ class ClosedLoops:
     links: tuple[Link, ...]
     warnings: tuple[str, ...]
 
-    def trusted_pairs(self) -> list[tuple[int, int]]:
-        """Return the (match, query) keyframe ids of the loops that hold."""
-        return [
-            (each.match_id, each.query_id)
-            for each in self.attempts
-            if (each.weight or 0.0) > MIN_TRUSTED_WEIGHT
-        ]
-
 
 class BackEnd:
     """Describes each keyframe's place, closes its loops and constrains the graph, in a thread.
 
-    Tracking needs none of the answers, so it never waits for them, but for one thing: no more than
-    a few keyframes may stand in line. So the work cannot pile up, and what comes out does not
+    Tracking needs none of the answers, so it never waits for them, but for one thing: only a
+    few keyframes may be queued. So the work cannot pile up, and what comes out does not
     depend on who was faster. The graph is solved only when somebody asks: each solve takes longer
     than the one before.
 
@@ -75,7 +67,7 @@ class BackEnd:
         self._atlas = Atlas(config.graph)
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
-        self._in_line: deque[Future[tuple[LoopAttempt, ...]]] = deque()
+        self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: RecognizerError | None = None  # nothing after it is taken in
         self._attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
@@ -88,28 +80,28 @@ class BackEnd:
     @property
     def is_empty(self) -> bool:
         """Whether no keyframe was taken in and none is being worked on."""
-        return not self.keyframes and not self._in_line
+        return not self.keyframes and not self._queue
 
     def insert(self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]) -> None:
-        """Put a keyframe in line, once there is room.
+        """Queue a keyframe, waiting for the oldest one where the queue is full.
 
         Raises:
             RecognizerError: the recognizer failed on one before; those until then are in the graph.
         """
-        if len(self._in_line) == _ROOM:
-            self._first_in_line()
+        if len(self._queue) == _MAX_QUEUED:
+            self._next_result()
         # A copy: cameras reuse their memory.
-        self._in_line.append(self._thread.submit(self._take, keyframe, links, rgb.copy()))
+        self._queue.append(self._thread.submit(self._take, keyframe, links, rgb.copy()))
 
     def settle(self) -> tuple[LoopAttempt, ...]:
-        """Wait for all keyframes in line and return the loop candidates of the last one.
+        """Wait for all queued keyframes and return the loop candidates of the last one.
 
         Raises:
             RecognizerError: the recognizer failed on one; those until then are in the graph.
         """
         attempts: tuple[LoopAttempt, ...] = ()
-        while self._in_line:
-            attempts = self._first_in_line()
+        while self._queue:
+            attempts = self._next_result()
         return attempts
 
     def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
@@ -119,7 +111,7 @@ class BackEnd:
             frames: as for `solve`.
 
         Raises:
-            SlamError: there is no keyframe yet, or its part of the map is not joined to the rest.
+            SlamError: there is no keyframe yet, or its submap is not joined to the rest.
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
@@ -130,8 +122,8 @@ class BackEnd:
         """Weigh all loops once more and return what they make of the keyframes.
 
         Args:
-            frames: how many there are of each keyframe id, to tell which part of the map is the
-                largest; default: one of each.
+            frames: how many there are of each keyframe id, to tell which submap is the largest;
+                default: one of each.
 
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
@@ -140,9 +132,7 @@ class BackEnd:
         with self._clock.stage("graph"):
             solution = self._atlas.finish(self._counted(frames))
         attempts = tuple(
-            _unjoined(attempt, solution.unjoined[key])
-            if key in solution.unjoined
-            else replace(attempt, weight=solution.weights.get(key))
+            _in_the_end(attempt, solution.weights.get(key), solution.unjoined.get(key))
             for key, attempt in enumerate(self._attempts)
         )
         return ClosedLoops(solution.T_world_kf, attempts, solution.links, solution.warnings)
@@ -155,11 +145,11 @@ class BackEnd:
         """Return what the recognizer was calibrated on beside what it met, where it says so."""
         return self._loop_closer.calibration()
 
-    def _first_in_line(self) -> tuple[LoopAttempt, ...]:
+    def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:
-            return self._in_line.popleft().result()
+            return self._queue.popleft().result()
         except RecognizerError:
-            self._in_line.clear()  # they end the same way, which nobody has to hear twice
+            self._queue.clear()  # they end the same way, which nobody has to hear twice
             raise
 
     def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
@@ -191,7 +181,19 @@ class BackEnd:
         return attempts
 
 
-def _unjoined(attempt: LoopAttempt, agreeing: int) -> LoopAttempt:
-    return replace(
-        attempt, outcome=Rejection(RejectionReason.UNJOINED, agreeing, NEEDED_LOOPS), weight=None
-    )
+def _in_the_end(attempt: LoopAttempt, weight: float | None, agreeing: int | None) -> LoopAttempt:
+    """Return what the graph makes of a loop: in use, outvoted or not joined to the largest submap.
+
+    Args:
+        attempt: as geometry left it.
+        weight: the graph's trust in it, None where the graph was not given it.
+        agreeing: how many loops agree where its submap lies, None where it is in the largest.
+    """
+    if agreeing is not None:
+        return replace(attempt, outcome=Rejection(RejectionReason.UNJOINED, agreeing, NEEDED_LOOPS))
+    if weight is None or weight > MIN_TRUSTED_WEIGHT:
+        return replace(attempt, weight=weight)
+    outvoted = Rejection(RejectionReason.OUTVOTED, weight, MIN_TRUSTED_WEIGHT)
+    # The motion stays on record with the noise that the graph was told.
+    seen = attempt.verification and replace(attempt.verification, outcome=attempt.outcome)
+    return replace(attempt, verification=seen, outcome=outvoted, weight=weight)

@@ -11,67 +11,67 @@ from slam.geometry import se3
 from slam.types import FloatArray, Link, RelativePose
 
 NEEDED_LOOPS = 2
-"""Loops that have to agree on how two parts lie to each other before the two become one."""
+"""Loops that have to agree on how two submaps lie to each other before the two become one."""
 
 # Two loops agree where one puts the other's keyframe no further than this from where that does. Of
 # 659 motions verified between all keyframes of fr1_xyz and fr1_desk 5 were off by more, none by
 # more than 14 cm or 7 degrees: those were blurred views, not other places.
 _AGREE_M, _AGREE_RAD = 0.10, np.radians(5.0)
-_HYPOTHESES = 200  # of more loops between two parts some are asked, and all of them vote
+_HYPOTHESES = 200  # of more loops between two submaps so many are tried, and all of them vote
 _NEXT_TO_NOTHING = np.eye(6)  # of information: 1 rad, 1 m
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Keyframes that hang together.
+class Submap:
+    """Keyframes that motions connect.
 
     Attributes:
-        T_part_kf: (4, 4) by keyframe id, by odometry and ties alone; the first one ties the part.
-        links: each ties a keyframe to those before it, or is one more between such.
+        T_submap_kf: (4, 4) by keyframe id, by odometry and joins alone; the first comes first.
+        links: each leads to a keyframe from one before it, or is one more between such.
     """
 
-    T_part_kf: dict[int, FloatArray]
+    T_submap_kf: dict[int, FloatArray]
     links: list[Link]
 
     @property
     def first(self) -> int:
         """The keyframe that came first."""
-        return next(iter(self.T_part_kf))
+        return next(iter(self.T_submap_kf))
 
     def size(self, frames: Mapping[int, int]) -> int:
         """Return how many frames it has, given how many there are per keyframe id."""
-        return sum(frames.get(k, 0) for k in self.T_part_kf)
+        return sum(frames.get(k, 0) for k in self.T_submap_kf)
 
     def places(self, keyframe_ids: Iterable[int]) -> FloatArray:
         """Return (N, 4, 4), where keyframes are in it."""
-        return np.array([self.T_part_kf[k] for k in keyframe_ids])
+        return np.array([self.T_submap_kf[k] for k in keyframe_ids])
 
 
-def part_of(parts: Sequence[Part]) -> dict[int, int]:
-    """Return the part's number in the list by keyframe id."""
-    return {k: i for i, part in enumerate(parts) for k in part.T_part_kf}
+def submap_of(submaps: Sequence[Submap]) -> dict[int, int]:
+    """Return the submap's number in the list by keyframe id."""
+    return {k: i for i, submap in enumerate(submaps) for k in submap.T_submap_kf}
 
 
-def joined(parts: Sequence[Part], loops: Iterable[Link]) -> list[Part]:
-    """Return what becomes of parts where loops agree, one pair after the other, the clearest first.
+def joined(submaps: Sequence[Submap], loops: Iterable[Link]) -> list[Submap]:
+    """Join submaps where loops agree, one pair after the other, the clearest first.
 
-    So a false loop that came early has no say against those that came later. What ties two parts is
-    worth next to nothing: it tells a solver where to start, and the loops decide.
+    So a false loop that came early has no say against those that came later. What joins two submaps
+    has next to no information: it tells a solver where to start, and the loops decide.
     """
-    parts, loops = list(parts), list(loops)
-    while len(parts) > 1:
-        between = _between(parts, loops)
-        ties = [(*_tie(parts[i], parts[j], some), i, j) for (i, j), some in between.items()]
-        votes, tie, i, j = max(ties, key=lambda each: each[0], default=(0, None, 0, 0))
-        if tie is None or votes < NEEDED_LOOPS:
+    submaps, loops = list(submaps), list(loops)
+    while len(submaps) > 1:
+        between = _between(submaps, loops)
+        joins = [(*_join(submaps[i], submaps[j], some), i, j) for (i, j), some in between.items()]
+        votes, join, i, j = max(joins, key=lambda each: each[0], default=(0, None, 0, 0))
+        if join is None or votes < NEEDED_LOOPS:
             break
-        parts[i] = _union(parts[i], parts.pop(j), tie)
-    return parts
+        submaps[i] = _union(submaps[i], submaps.pop(j), join)
+    return submaps
 
 
-def _between(parts: Sequence[Part], loops: Iterable[Link]) -> dict[tuple[int, int], list[Link]]:
-    """Return the loops between any two parts, all seen from the earlier."""
-    number_of = part_of(parts)
+def _between(submaps: Sequence[Submap], loops: Iterable[Link]) -> dict[tuple[int, int], list[Link]]:
+    """Return the loops between any two submaps, all seen from the earlier."""
+    number_of = submap_of(submaps)
     between: dict[tuple[int, int], list[Link]] = defaultdict(list)
     for loop in loops:
         i, j = number_of[loop.ref_id], number_of[loop.query_id]
@@ -82,32 +82,32 @@ def _between(parts: Sequence[Part], loops: Iterable[Link]) -> dict[tuple[int, in
     return between
 
 
-def _tie(earlier: Part, later: Part, loops: Sequence[Link]) -> tuple[int, Link]:
-    """Return how many loops agree with the one that most agree with, and what ties by that one.
+def _join(earlier: Submap, later: Submap, loops: Sequence[Link]) -> tuple[int, Link]:
+    """Return how many loops agree with the one that most agree with, and the join by that one.
 
-    The loops have their reference in the earlier part; the tie leads to the later one's first.
+    The loops have their reference in the earlier submap; the join leads to the later one's first.
     """
     T_later_query = later.places(loop.query_id for loop in loops)
     T_ref_query = np.array([loop.motion.T_ref_query for loop in loops])
     T_earlier_query = earlier.places(loop.ref_id for loop in loops) @ T_ref_query
     T_earlier_later = T_earlier_query @ se3.inverse(T_later_query)
-    asked = range(0, len(loops), -(-len(loops) // _HYPOTHESES))
+    tried = range(0, len(loops), -(-len(loops) // _HYPOTHESES))
     votes = []
-    for i in asked:  # where loop i puts the query of every loop, as seen from where that puts it
+    for i in tried:  # where loop i puts the query of every loop, as seen from where that puts it
         error = se3.inverse(T_earlier_query) @ T_earlier_later[i] @ T_later_query
         is_near = se3.translation_norm(error) < _AGREE_M
         votes.append(np.count_nonzero(is_near & (se3.rotation_angle(error) < _AGREE_RAD)))
-    best = asked[int(np.argmax(votes))]
-    T_query_first = se3.inverse(T_later_query[best]) @ later.T_part_kf[later.first]
+    best = tried[int(np.argmax(votes))]
+    T_query_first = se3.inverse(T_later_query[best]) @ later.T_submap_kf[later.first]
     motion = RelativePose(T_ref_query[best] @ T_query_first, _NEXT_TO_NOTHING)
     return int(max(votes)), Link(loops[best].ref_id, later.first, motion)
 
 
-def _union(earlier: Part, later: Part, tie: Link) -> Part:
-    T_earlier_first = earlier.T_part_kf[tie.ref_id] @ tie.motion.T_ref_query
-    T_earlier_later = T_earlier_first @ se3.inverse(later.T_part_kf[later.first])
-    moved = {k: T_earlier_later @ T_later_kf for k, T_later_kf in later.T_part_kf.items()}
-    return Part({**earlier.T_part_kf, **moved}, [*earlier.links, tie, *later.links])
+def _union(earlier: Submap, later: Submap, join: Link) -> Submap:
+    T_earlier_first = earlier.T_submap_kf[join.ref_id] @ join.motion.T_ref_query
+    T_earlier_later = T_earlier_first @ se3.inverse(later.T_submap_kf[later.first])
+    moved = {k: T_earlier_later @ T_later_kf for k, T_later_kf in later.T_submap_kf.items()}
+    return Submap({**earlier.T_submap_kf, **moved}, [*earlier.links, join, *later.links])
 
 
 def _reversed(loop: Link) -> Link:

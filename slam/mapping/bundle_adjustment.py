@@ -55,13 +55,13 @@ def adjust(bundle: Bundle, camera: Camera, max_steps: int) -> Bundle:
     """Return the bundle with the poses and points that fit the observations best."""
     if len(bundle.measured) == 0 or bundle.is_fixed.all():
         return bundle
-    ties = _Ties(bundle)
+    structure = _Structure(bundle)
     damping, refusals = _FIRST_DAMPING, 0
     misfit = _misfit(bundle, camera)
     system: _System | None = None
     for _ in range(max_steps):
-        system = system or _linearise(bundle, misfit, ties)
-        moved = _moved(bundle, *_solve(system, ties, damping))
+        system = system or _linearise(bundle, misfit, structure)
+        moved = _moved(bundle, *_solve(system, structure, damping))
         after = _misfit(moved, camera)
         if after.cost > misfit.cost:
             damping, refusals = 10.0 * damping, refusals + 1
@@ -81,7 +81,7 @@ def agreeing(bundle: Bundle, camera: Camera) -> NDArray[np.bool_]:
     return bundle.measured.agree(_points_in_cameras(bundle), camera)
 
 
-class _Ties:
+class _Structure:
     """Who sees whom, as sparse matrices: what stays the same from step to step.
 
     Attributes:
@@ -168,17 +168,17 @@ def _observations_last(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(values, 0, -1))
 
 
-def _linearise(bundle: Bundle, misfit: _Misfit, ties: _Ties) -> _System:
+def _linearise(bundle: Bundle, misfit: _Misfit, structure: _Structure) -> _System:
     r, A = misfit.residuals, misfit.by_point
     # p_cam = exp(-xi) T_cam_world p_world: d p_cam = p_cam x omega - v + R_cam_world d p_world
     R_world_cam = _observations_last(bundle.T_world_cam[bundle.camera_of, :3, :3])
     J_cam = np.concatenate([np.cross(A, misfit.points_cam_m[None], axis=1), -A], axis=1)
     J_point = np.einsum("rio,jio->rjo", A, R_world_cam)
     return _System(
-        H_cam=_added(ties.by_camera, np.einsum("rio,rjo->oij", J_cam, J_cam)),
-        g_cam=_added(ties.by_camera, np.einsum("rio,ro->oi", J_cam, r)),
-        H_point=_added(ties.by_point, np.einsum("rio,rjo->oij", J_point, J_point)),
-        g_point=_added(ties.by_point, np.einsum("rio,ro->oi", J_point, r)),
+        H_cam=_added(structure.by_camera, np.einsum("rio,rjo->oij", J_cam, J_cam)),
+        g_cam=_added(structure.by_camera, np.einsum("rio,ro->oi", J_cam, r)),
+        H_point=_added(structure.by_point, np.einsum("rio,rjo->oij", J_point, J_point)),
+        g_point=_added(structure.by_point, np.einsum("rio,ro->oi", J_point, r)),
         W=np.einsum("rio,rjo->oij", J_point, J_cam),
     )
 
@@ -187,15 +187,15 @@ def _added(by: scipy.sparse.csr_array, values: FloatArray) -> FloatArray:
     return np.asarray(by @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
-def _solve(system: _System, ties: _Ties, damping: float) -> tuple[FloatArray, FloatArray]:
+def _solve(system: _System, structure: _Structure, damping: float) -> tuple[FloatArray, FloatArray]:
     """Return the damped step of cameras (K, 6) and of points (P, 3)."""
-    free = ties.free
+    free = structure.free
     H_cam = scipy.sparse.bsr_array(
         (_damped(system.H_cam[free], damping), np.arange(len(free)), np.arange(len(free) + 1))
     )
     H_point_inverse = np.asarray(np.linalg.inv(_damped(system.H_point, damping)), np.float64)
-    W = ties.blocks(system.W)
-    inverse_W = ties.blocks(system.W, H_point_inverse)
+    W = structure.blocks(system.W)
+    inverse_W = structure.blocks(system.W, H_point_inverse)
     # Two cameras that see the same point are tied through it.
     reduced = (H_cam - W.T @ inverse_W).tocsc()
     step_free = -splu(reduced).solve(

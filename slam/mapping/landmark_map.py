@@ -28,7 +28,7 @@ class MappedKeyframe:
         measured: what was measured of all of them.
         grid: the same, for searching.
         landmark_of: (N,) int, the landmark that each feature shows, UNSEEN where none.
-        made: ids of the landmarks that were made of its features.
+        created_ids: ids of the landmarks that were created from its features.
         T_map_cam: (4, 4).
     """
 
@@ -36,7 +36,7 @@ class MappedKeyframe:
     measured: Measurements
     grid: FeatureGrid
     landmark_of: IntArray
-    made: IntArray
+    created_ids: IntArray
     T_map_cam: FloatArray
 
 
@@ -104,7 +104,7 @@ class LandmarkMap:
                 measured=Measurements.of(features, everything, self.camera),
                 grid=grid,
                 landmark_of=np.full(len(features.pixels), UNSEEN),
-                made=np.zeros(0, dtype=np.int64),
+                created_ids=np.zeros(0, dtype=np.int64),
                 T_map_cam=T_map_cam,
             )
         )
@@ -117,9 +117,9 @@ class LandmarkMap:
         has_depth = np.isfinite(keyframe.features.depth_m)
         new = np.flatnonzero((keyframe.landmark_of == UNSEEN) & has_depth)
         positions_m = se3.transform(keyframe.T_map_cam, keyframe.features.points_m[new])
-        keyframe.made = self.landmarks.add(positions_m, keyframe_id)
-        self._observe(keyframe_id, np.column_stack([keyframe.made, new]))
-        return keyframe.made
+        keyframe.created_ids = self.landmarks.add(positions_m, keyframe_id)
+        self._observe(keyframe_id, np.column_stack([keyframe.created_ids, new]))
+        return keyframe.created_ids
 
     def fuse(self, keyframe_id: int, ids: IntArray, radius_px: float) -> None:
         """Look for landmarks in a keyframe that has not seen them; two at one place become one.
@@ -144,7 +144,7 @@ class LandmarkMap:
         ids = np.unique(self.landmarks.resolve(np.concatenate([empty_pairs()[:, 0], *seen])))
         return np.asarray(ids[ids != UNSEEN])
 
-    def company(self, ids: IntArray) -> list[int]:
+    def covisible_keyframes(self, ids: IntArray) -> list[int]:
         """Return the keyframes that see any of the landmarks, those that see most first."""
         observers = self.landmarks.observers[ids]
         shared = np.bincount(observers[observers != UNSEEN])
@@ -157,17 +157,17 @@ class LandmarkMap:
         _, in_a, in_b = np.intersect1d(of_a, of_b, return_indices=True)
         return np.asarray(np.column_stack([in_a, in_b])[of_a[in_a] != UNSEEN])
 
-    def carry(self, keyframe_ids: Sequence[int], T_map_kf: FloatArray) -> None:
-        """Move K keyframes to (K, 4, 4) poses, and with them the landmarks that they made."""
+    def move_keyframes(self, keyframe_ids: Sequence[int], T_map_kf: FloatArray) -> None:
+        """Move K keyframes to (K, 4, 4) poses, and with them the landmarks that they created."""
         table = self.landmarks
         for k, T_new in zip(keyframe_ids, T_map_kf, strict=True):
             keyframe = self.keyframes[k]
             T_new_old = T_new @ se3.inverse(keyframe.T_map_cam)
-            table.positions_m[keyframe.made] = se3.transform(
-                T_new_old, table.positions_m[keyframe.made]
+            table.positions_m[keyframe.created_ids] = se3.transform(
+                T_new_old, table.positions_m[keyframe.created_ids]
             )
-            turned = table.directions[keyframe.made] @ T_new_old[:3, :3].T
-            table.directions[keyframe.made] = turned
+            turned = table.directions[keyframe.created_ids] @ T_new_old[:3, :3].T
+            table.directions[keyframe.created_ids] = turned
             keyframe.T_map_cam = T_new
 
     def _observe(self, keyframe_id: int, pairs: IntArray) -> None:

@@ -8,12 +8,12 @@ from slam.types import FloatArray, IntArray
 
 UNSEEN = -1
 """What stands for no landmark, and for no keyframe, among their ids."""
-_OBSERVERS = 8  # keyframes remembered per landmark; more would not change the company it is in
+_OBSERVERS = 8  # keyframes remembered per landmark; more would not change which are covisible
 _SPARE_ROWS = 1 << 15
 
 
 class Landmarks:
-    """A table of landmarks; an id is a row, and rows never move. There are spare rows at the end.
+    """A table of landmarks; an id is a row, and rows never move.
 
     Attributes:
         positions_m: (P, 3) float64, odometry frame.

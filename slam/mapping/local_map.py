@@ -8,7 +8,7 @@ import numpy as np
 from slam.config import Config
 from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.map_adjustment import MapPart, adjusted, put_back, take_part
+from slam.mapping.map_adjustment import AdjustmentProblem, adjusted, extract_problem, write_back
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _WINDOW = 10  # keyframes that are adjusted together when a new one enters
@@ -27,7 +27,7 @@ class LocalMap:
 
     Attributes:
         whole: all keyframes and landmarks, odometry frame.
-        nearby_ids: landmarks that the last keyframe and its company see.
+        nearby_ids: landmarks that the last keyframe and those covisible with it see.
     """
 
     def __init__(self, camera: Camera, config: Config) -> None:
@@ -38,7 +38,7 @@ class LocalMap:
         self._origins: set[int] = set()
         self._window: list[int] = []
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="adjustment")
-        self._underway: Future[MapPart] | None = None
+        self._underway: Future[AdjustmentProblem] | None = None
 
     def insert(
         self, features: Features, grid: FeatureGrid, T_odom_cam: FloatArray, pairs: IntArray
@@ -49,7 +49,8 @@ class LocalMap:
         """
         self.settle()
         newest = self.whole.add_keyframe(features, grid, T_odom_cam, pairs)
-        neighbours = [k for k in self.whole.company(pairs[:, 0]) if k != newest][: _WINDOW - 1]
+        covisible = self.whole.covisible_keyframes(pairs[:, 0])
+        neighbours = [k for k in covisible if k != newest][: _WINDOW - 1]
         made = self.whole.add_landmarks(newest)
         for neighbour in neighbours:
             self.whole.fuse(neighbour, made, _FUSE_RADIUS_PX)
@@ -57,7 +58,7 @@ class LocalMap:
         self._cull(newest)
         if not neighbours:
             self._origins.add(newest)
-        self._underway = self._thread.submit(adjusted, self._part(), self.whole.camera, _ROUNDS)
+        self._underway = self._thread.submit(adjusted, self._problem(), self.whole.camera, _ROUNDS)
         return newest
 
     def settle(self) -> bool:
@@ -65,7 +66,7 @@ class LocalMap:
         underway, self._underway = self._underway, None
         if underway is None:
             return False
-        put_back(self.whole, underway.result())
+        write_back(self.whole, underway.result())
         self.nearby_ids = self.whole.seen_by(self._window)
         return True
 
@@ -74,11 +75,11 @@ class LocalMap:
         had_its_chance = table.first_keyframe[ids] + _TRIAL_KEYFRAMES <= newest
         table.is_alive[ids[had_its_chance & (table.sightings[ids] < 2)]] = False
 
-    def _part(self) -> MapPart:
+    def _problem(self) -> AdjustmentProblem:
         """Return the window, and what else sees its landmarks and holds it in place."""
-        company = self.whole.company(self.whole.seen_by(self._window))
-        outer = [k for k in company if k not in self._window][:_OUTER]
+        covisible = self.whole.covisible_keyframes(self.whole.seen_by(self._window))
+        outer = [k for k in covisible if k not in self._window][:_OUTER]
         # The first keyframe of a segment is its origin; it moves for nobody.
         free = [k for k in self._window if k not in self._origins]
         origins = [k for k in self._window if k in self._origins]
-        return take_part(self.whole, free, [*outer, *origins])
+        return extract_problem(self.whole, free, [*outer, *origins])

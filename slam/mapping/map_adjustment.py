@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bundle adjustment of a part of the map: copied out, adjusted, and put back."""
+"""Bundle adjustment of keyframes of the map: copied out, adjusted, and written back."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,8 +17,8 @@ _MIN_OBSERVERS = 2  # a point that one camera alone sees says nothing of where i
 
 
 @dataclass(frozen=True)
-class MapPart:
-    """Keyframes and the landmarks that tie them; it shares nothing with the map.
+class AdjustmentProblem:
+    """Keyframes and the landmarks that they share, copied out of the map.
 
     Attributes:
         keyframe_ids: the bundle's K cameras.
@@ -35,8 +35,10 @@ class MapPart:
     fits: NDArray[np.bool_]
 
 
-def take_part(the_map: LandmarkMap, free: Sequence[int], fixed: Sequence[int]) -> MapPart:
-    """Return keyframes that may move, others that hold them in place, and what ties them.
+def extract_problem(
+    the_map: LandmarkMap, free: Sequence[int], fixed: Sequence[int]
+) -> AdjustmentProblem:
+    """Return keyframes that may move, others that hold them in place, and the landmarks they share.
 
     Where none is fixed, the first one is.
     """
@@ -59,30 +61,32 @@ def take_part(the_map: LandmarkMap, free: Sequence[int], fixed: Sequence[int]) -
         measured=measured.select(starts[camera_of[chosen]] + feature_of[chosen]),
     )
     fits = np.ones(len(chosen), dtype=bool)
-    return MapPart(keyframe_ids, landmark_ids, feature_of[chosen], bundle, fits)
+    return AdjustmentProblem(keyframe_ids, landmark_ids, feature_of[chosen], bundle, fits)
 
 
-def adjusted(part: MapPart, camera: Camera, rounds: Sequence[int]) -> MapPart:
-    """Return the part after some rounds of so many steps each; what does not fit sits one out."""
-    bundle, fits = part.bundle, part.fits
+def adjusted(
+    problem: AdjustmentProblem, camera: Camera, rounds: Sequence[int]
+) -> AdjustmentProblem:
+    """Return it after some rounds of so many steps each; what does not fit sits one out."""
+    bundle, fits = problem.bundle, problem.fits
     for steps in rounds:
         moved = adjust(bundle.select(fits), camera, steps)
         bundle = replace(bundle, T_world_cam=moved.T_world_cam, points_m=moved.points_m)
         fits = agreeing(bundle, camera)
-    return replace(part, bundle=bundle, fits=fits)
+    return replace(problem, bundle=bundle, fits=fits)
 
 
-def put_back(the_map: LandmarkMap, part: MapPart) -> None:
+def write_back(the_map: LandmarkMap, problem: AdjustmentProblem) -> None:
     """Move the map's keyframes and landmarks to where they were adjusted; drop what does not fit.
 
-    Landmarks that were left out ride on the keyframe that made them.
+    Landmarks that were left out move with the keyframe that created them.
     """
-    bundle = part.bundle
-    the_map.carry(part.keyframe_ids, bundle.T_world_cam)
-    the_map.landmarks.positions_m[part.landmark_ids] = bundle.points_m
-    for camera, k in enumerate(part.keyframe_ids):
+    bundle = problem.bundle
+    the_map.move_keyframes(problem.keyframe_ids, bundle.T_world_cam)
+    the_map.landmarks.positions_m[problem.landmark_ids] = bundle.points_m
+    for camera, k in enumerate(problem.keyframe_ids):
         keyframe = the_map.keyframes[k]
-        gone = part.feature_of[~part.fits & (bundle.camera_of == camera)]
+        gone = problem.feature_of[~problem.fits & (bundle.camera_of == camera)]
         lost = the_map.landmarks.resolve(keyframe.landmark_of[gone])
         the_map.landmarks.sightings[lost[lost != UNSEEN]] -= 1
         keyframe.landmark_of[gone] = UNSEEN
@@ -99,9 +103,10 @@ def _observations(
     return np.concatenate(cameras), np.concatenate(features), np.concatenate(landmarks)
 
 
-# The pose graph leaves this much between the two ends of a loop, and an adjusted map that much.
-_LOOP_RADIUS_PX, _LOOP_COMPANY = 8.0, 5
-_ADJUSTED_RADIUS_PX, _ADJUSTED_COMPANY = 3.0, 15
+# How far apart the pose graph leaves the two ends of a loop, and how far an adjusted map does; and
+# so many covisible keyframes are searched along.
+_LOOP_RADIUS_PX, _LOOP_COVISIBLE = 8.0, 5
+_ADJUSTED_RADIUS_PX, _ADJUSTED_COVISIBLE = 3.0, 15
 _ROUNDS = (5, 5, 10)
 
 MOST_KEYFRAMES = 500
@@ -109,7 +114,7 @@ MOST_KEYFRAMES = 500
 stretch by stretch, each held in place by those around it, nothing is gained over the pose graph."""
 
 
-def too_large(keyframes: int) -> tuple[str, ...]:
+def size_warning(keyframes: int) -> tuple[str, ...]:
     """Return a sentence if so many keyframes are more than can be adjusted at once, else none."""
     if keyframes <= MOST_KEYFRAMES:
         return ()
@@ -119,7 +124,7 @@ def too_large(keyframes: int) -> tuple[str, ...]:
     )
 
 
-def where_tracking_put(the_map: LandmarkMap, keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
+def at_tracked_poses(the_map: LandmarkMap, keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
     """Return the keyframes at their last places in the tracker's map, which knows of no loop."""
     places = the_map.keyframes[: len(keyframes)]
     return tuple(
@@ -128,13 +133,13 @@ def where_tracking_put(the_map: LandmarkMap, keyframes: Sequence[Keyframe]) -> t
     )
 
 
-def closed_map(
+def adjust_with_loops(
     the_map: LandmarkMap,
     keyframe_ids: Sequence[int],
     T_world_kf: FloatArray,
     loops: Sequence[tuple[int, int]],
 ) -> LandmarkMap:
-    """Return the map moved to where the pose graph puts it, tied across the loops, and adjusted.
+    """Return the map moved to where the pose graph puts it, matched across the loops, and adjusted.
 
     Args:
         the_map: the tracker's map; it stays as it is.
@@ -143,25 +148,25 @@ def closed_map(
         loops: pairs of keyframe ids that show the same place.
     """
     final = the_map.copy()
-    final.carry(keyframe_ids, T_world_kf)
+    final.move_keyframes(keyframe_ids, T_world_kf)
     for match_id, query_id in loops:
-        _look_again(final, query_id, match_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
-        _look_again(final, match_id, query_id, _LOOP_COMPANY, _LOOP_RADIUS_PX)
+        _match_again(final, query_id, match_id, _LOOP_COVISIBLE, _LOOP_RADIUS_PX)
+        _match_again(final, match_id, query_id, _LOOP_COVISIBLE, _LOOP_RADIUS_PX)
     _adjust(final, keyframe_ids)
     for k in keyframe_ids:
-        _look_again(final, k, k, _ADJUSTED_COMPANY, _ADJUSTED_RADIUS_PX)
+        _match_again(final, k, k, _ADJUSTED_COVISIBLE, _ADJUSTED_RADIUS_PX)
     _adjust(final, keyframe_ids)
     return final
 
 
-def _look_again(
-    the_map: LandmarkMap, k: int, seen_from: int, company: int, radius_px: float
+def _match_again(
+    the_map: LandmarkMap, k: int, seen_from: int, count: int, radius_px: float
 ) -> None:
     """Look in keyframe k for what another keyframe and those that share most with it see."""
-    others = the_map.company(the_map.seen_by([seen_from]))[:company]
+    others = the_map.covisible_keyframes(the_map.seen_by([seen_from]))[:count]
     the_map.fuse(k, the_map.seen_by([seen_from, *others]), radius_px)
 
 
 def _adjust(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> None:
-    part = take_part(the_map, keyframe_ids, [])
-    put_back(the_map, adjusted(part, the_map.camera, _ROUNDS))
+    problem = extract_problem(the_map, keyframe_ids, [])
+    write_back(the_map, adjusted(problem, the_map.camera, _ROUNDS))

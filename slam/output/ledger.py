@@ -14,7 +14,7 @@ from placerec.files import write_atomically
 from slam.evaluation.drift import DriftReport, LoopTruth
 from slam.geometry import se3
 from slam.result import SlamResult
-from slam.types import LoopAttempt, RelativePose, SlamError, final_rejection, measured_motion
+from slam.types import LoopAttempt, RelativePose, SlamError
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -132,9 +132,9 @@ def _record(
     stamps_s: dict[int, float],
     min_similarity: float,
 ) -> LoopRecord:
-    rejection = final_rejection(attempt)
+    rejection = attempt.rejection
     seen = attempt.verification
-    motion = measured_motion(attempt)
+    motion = attempt.motion
     return LoopRecord(
         query_id=int(attempt.query_id),
         match_id=int(attempt.match_id),

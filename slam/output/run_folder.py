@@ -17,7 +17,7 @@ from slam.output.report import write_report
 from slam.output.summary import summarise
 from slam.pose_graph import write_g2o
 from slam.result import SlamResult
-from slam.types import Link, RelativePose, SlamError, Trajectory, final_rejection
+from slam.types import Link, RelativePose, SlamError, Trajectory
 
 
 def make_run_folder(folder: Path) -> None:
@@ -95,6 +95,6 @@ def _motions(result: SlamResult) -> list[Link]:
     loops = [
         Link(attempt.match_id, attempt.query_id, attempt.outcome)
         for attempt in result.attempts
-        if isinstance(attempt.outcome, RelativePose) and final_rejection(attempt) is None
+        if isinstance(attempt.outcome, RelativePose) and attempt.rejection is None
     ]
     return [*result.links, *loops]

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.result import SlamResult
-from slam.types import Camera, RejectionReason, final_rejection
+from slam.types import Camera, RejectionReason
 
 
 def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
@@ -58,7 +58,7 @@ def _counts(result: SlamResult) -> dict[str, object]:
 
 def _loop_counts(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
     verdicts = [loop.is_false for loop in drift.loops if loop.is_false is not None] if drift else []
-    rejections = [final_rejection(attempt) for attempt in result.attempts]
+    rejections = [attempt.rejection for attempt in result.attempts]
     reasons = [rejection.reason for rejection in rejections if rejection]
     return {
         "loops_tried": len(result.attempts),

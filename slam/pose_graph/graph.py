@@ -43,11 +43,11 @@ class GraphSolution:
 
 
 class PoseGraph:
-    """Keyframe poses tied by motions: odometry is believed, all others have to agree with it.
+    """Keyframe poses connected by motions: odometry is believed, all others have to agree with it.
 
-    The link that ties a keyframe to those before it is its odometry. Further links (co-visibility)
-    and loops are left out where they contradict the rest: the errors of measured motions have
-    heavier tails than their information matrices say.
+    The link that first connects a keyframe to those before it is its odometry. Further links
+    (co-visibility) and loops are left out where they contradict the rest: the errors of measured
+    motions have heavier tails than their information matrices say.
 
     The first keyframe stays where its guess puts it: the identity makes it the world.
     """
@@ -66,7 +66,7 @@ class PoseGraph:
         self._clear_new()
 
     def add_keyframe(self, keyframe_id: int, T_world_kf_guess: FloatArray) -> None:
-        """Add a keyframe at a (4, 4) guess of its pose, in metres; then tie it by links.
+        """Add a keyframe at a (4, 4) guess of its pose, in metres; links have to follow.
 
         Raises:
             ValueError: the id is taken.
@@ -85,7 +85,7 @@ class PoseGraph:
         """Add a motion that is no loop, in the order of time: odometry first, then co-visibility.
 
         Raises:
-            ValueError: a keyframe of it is not in the graph, or neither is tied to the first one.
+            ValueError: a keyframe of it is not in the graph, or neither is connected to the first.
         """
         factor = self._factor(link.ref_id, link.query_id, link.motion)
         motion = factor.measured()
@@ -102,8 +102,8 @@ class PoseGraph:
             self._chain.insert(link.ref_id, T_world_query.compose(motion.inverse()))
         else:
             raise ValueError(
-                f"link {link.ref_id} - {link.query_id} hangs in the air: "
-                "add the links that tie one of the two to the first keyframe before it"
+                f"link {link.ref_id} - {link.query_id} is not connected to the first keyframe: "
+                "add the links that connect one of the two before it"
             )
         self._new_factors.add(factor)
 
@@ -121,9 +121,9 @@ class PoseGraph:
         """Bring the poses up to date: incrementally, or robustly once enough new loops came.
 
         Raises:
-            SlamError: a keyframe is not tied to the first one by links.
+            SlamError: links do not connect a keyframe to the first one.
         """
-        self._check_tied()
+        self._check_connected()
         waiting = len(self._loops) - len(self._weights)
         if waiting > _LOOP_GROWTH * len(self._weights):
             self._start_from(self._weigh(*self._whole(), (SUPER_LINEAR,)).values)
@@ -134,9 +134,9 @@ class PoseGraph:
         """Weigh all loops once more with every means, polish, and say what there is to doubt.
 
         Raises:
-            SlamError: a keyframe is not tied to the first one by links.
+            SlamError: links do not connect a keyframe to the first one.
         """
-        self._check_tied()
+        self._check_connected()
         values = self._chain  # whatever `update` made of it: who asked on the way changes nothing
         warnings: tuple[str, ...] = ()
         if self._loops or self._side_links:
@@ -218,10 +218,10 @@ class PoseGraph:
         noise = gtsam.noiseModel.Gaussian.Information(motion.information)
         return gtsam.BetweenFactorPose3(ref_id, query_id, gtsam.Pose3(motion.T_ref_query), noise)
 
-    def _check_tied(self) -> None:
+    def _check_connected(self) -> None:
         for each in self._ids:
             if not self._chain.exists(each):
                 raise SlamError(
-                    f"keyframe {each} hangs in the air: no link ties it to the first keyframe; "
+                    f"keyframe {each} is not connected to the first keyframe by any link; "
                     "add one, with little information where the motion is uncertain"
                 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which frame rides on which keyframe: it is corrected when the keyframe is."""
+"""Every frame and the keyframe it was placed against: it is corrected when the keyframe is."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -48,57 +48,61 @@ def checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Ride:
+class _LoggedFrame:
     timestamp_s: float
     keyframe_id: int
     T_kf_cam: FloatArray
 
 
-class Rides:
+class FrameLog:
     """Every frame of a run: placed against a keyframe, or lost."""
 
     def __init__(self) -> None:
-        self._rides: list[_Ride] = []
+        self._frames: list[_LoggedFrame] = []
         self._lost_s: list[float] = []
 
     def add(self, timestamp_s: float, keyframe_id: int, T_kf_cam: FloatArray) -> None:
         """Remember a frame by its (4, 4) place in a keyframe's camera frame."""
-        self._rides.append(_Ride(timestamp_s, keyframe_id, T_kf_cam))
+        self._frames.append(_LoggedFrame(timestamp_s, keyframe_id, T_kf_cam))
 
     def lose(self, timestamp_s: float) -> None:
         """Remember a frame that could not be placed."""
         self._lost_s.append(timestamp_s)
 
     def per_keyframe(self) -> Counter[int]:
-        """Return how many frames ride on each keyframe id."""
-        return Counter(ride.keyframe_id for ride in self._rides)
+        """Return how many frames were placed against each keyframe id."""
+        return Counter(frame.keyframe_id for frame in self._frames)
 
     def trajectory(self, T_any_kf: FloatArray) -> Trajectory:
         """Return the frames whose keyframe is among (K, 4, 4) poses and not NaN there."""
-        rides = [
-            ride for ride in self._on(T_any_kf) if np.isfinite(T_any_kf[ride.keyframe_id, 0, 0])
+        frames = [
+            frame for frame in self._on(T_any_kf) if np.isfinite(T_any_kf[frame.keyframe_id, 0, 0])
         ]
         return Trajectory(
-            timestamps_s=np.array([ride.timestamp_s for ride in rides]),
-            T_world_cam=np.array([T_any_kf[ride.keyframe_id] @ ride.T_kf_cam for ride in rides]),
+            timestamps_s=np.array([frame.timestamp_s for frame in frames]),
+            T_world_cam=np.array([T_any_kf[each.keyframe_id] @ each.T_kf_cam for each in frames]),
         )
 
     def unjoined_s(self, T_any_kf: FloatArray) -> FloatArray:
         """Return when the frames were taken whose keyframe is NaN among (K, 4, 4) poses."""
-        rides = [ride for ride in self._on(T_any_kf) if np.isnan(T_any_kf[ride.keyframe_id, 0, 0])]
-        return np.array([ride.timestamp_s for ride in rides])
+        frames = [
+            frame for frame in self._on(T_any_kf) if np.isnan(T_any_kf[frame.keyframe_id, 0, 0])
+        ]
+        return np.array([frame.timestamp_s for frame in frames])
 
     def untracked_s(self, T_any_kf: FloatArray) -> FloatArray:
         """Return when all frames were taken that have no place, in the order of time.
 
         Those of keyframes that (K, 4, 4) poses leave out are among them.
         """
-        left_out_s = [ride.timestamp_s for ride in self._rides if ride.keyframe_id >= len(T_any_kf)]
+        left_out_s = [
+            frame.timestamp_s for frame in self._frames if frame.keyframe_id >= len(T_any_kf)
+        ]
         return np.sort(np.concatenate([self._lost_s, self.unjoined_s(T_any_kf), left_out_s]))
 
     def warnings(self, T_any_kf: FloatArray) -> tuple[str, ...]:
         """Return a sentence about the frames that were lost, and one about those not joined."""
-        total, warnings = len(self._lost_s) + len(self._rides), []
+        total, warnings = len(self._lost_s) + len(self._frames), []
         if self._lost_s:
             warnings.append(
                 f"{len(self._lost_s)} of {total} frames could not be tracked and are in no"
@@ -115,9 +119,9 @@ class Rides:
 
     def _beginning(self, T_any_kf: FloatArray) -> str:
         start_s = self.trajectory(T_any_kf).timestamps_s[0]
-        if start_s == self._rides[0].timestamp_s:
+        if start_s == self._frames[0].timestamp_s:
             return ""
         return f"; the map is the part with the most frames, which begins at {start_s:.3f} s"
 
-    def _on(self, T_any_kf: FloatArray) -> list[_Ride]:
-        return [ride for ride in self._rides if ride.keyframe_id < len(T_any_kf)]
+    def _on(self, T_any_kf: FloatArray) -> list[_LoggedFrame]:
+        return [frame for frame in self._frames if frame.keyframe_id < len(T_any_kf)]

@@ -31,7 +31,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Placement:
+class FramePose:
     """Where a view was taken, and why that is believed.
 
     Attributes:
@@ -68,13 +68,13 @@ def agreed_pose(
     return refine_pose(T_map_cam, points_m[inlier_mask], measured, the_map.camera).T_world_cam
 
 
-def look_around(
+def track_local_map(
     the_map: LandmarkMap,
     view: View,
     T_map_cam: FloatArray,
     ids: IntArray,
     config: VerificationConfig,
-) -> Placement | Rejection:
+) -> FramePose | Rejection:
     """Look for landmarks close to where they should be, and let all of them refine the pose.
 
     Args:
@@ -91,4 +91,4 @@ def look_around(
     inliers = int(np.count_nonzero(refined.inlier_mask))
     if inliers < config.min_inliers:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
-    return Placement(refined.T_world_cam, pairs[refined.inlier_mask], refined.hessian)
+    return FramePose(refined.T_world_cam, pairs[refined.inlier_mask], refined.hessian)

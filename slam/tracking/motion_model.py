@@ -17,7 +17,7 @@ _LONGEST_STEP = 2.0
 
 
 @dataclass(eq=False)
-class Trail:
+class MotionModel:
     """Where the camera was last in one segment, and how it moved there.
 
     Attributes:

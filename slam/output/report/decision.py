@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from slam.evaluation.drift import DriftReport, LoopTruth
 from slam.result import SlamResult
-from slam.types import Keyframe, LoopAttempt, Rejection, RejectionReason, final_rejection
+from slam.types import Keyframe, LoopAttempt, Rejection, RejectionReason
 
 FALSE, ACCEPTED = "false", "accepted"
 OUTVOTED = RejectionReason.OUTVOTED.name.lower()
@@ -73,7 +73,7 @@ class Decision:
     @property
     def rejection(self) -> Rejection | None:
         """Why the loop is not in use, by geometry or by the pose graph; None for accepted ones."""
-        return final_rejection(self.attempt)
+        return self.attempt.rejection
 
     @property
     def kind(self) -> str:

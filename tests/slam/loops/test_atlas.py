@@ -4,7 +4,7 @@ import pytest
 
 from slam.config import GraphConfig
 from slam.geometry import se3
-from slam.loops.atlas import Atlas, tied
+from slam.loops.atlas import Atlas, in_one_odometry_frame
 from slam.loops.submaps import NEEDED_LOOPS
 from slam.types import (
     Keyframe,
@@ -219,9 +219,9 @@ def test_segments_are_tied_into_one_odometry_by_the_motion_that_joined_them(run)
     run.add(2, [(4, TRUE)])
     run.add(2, [(0, TRUE), (1, TRUE)])
     links = run.finish().links
-    moved = tied(run.keyframes, links)
+    moved = in_one_odometry_frame(run.keyframes, links)
     T_odom_cam = np.array([each.T_odom_cam for each in moved])
     assert np.abs(T_odom_cam - np.array(run.T_truth)).max() < 1e-6
     assert [each.id for each in moved] == list(range(len(moved)))
-    assert tied(run.keyframes[:3], links[:1]) == tuple(run.keyframes[:3])
-    assert tied((), ()) == ()
+    assert in_one_odometry_frame(run.keyframes[:3], links[:1]) == tuple(run.keyframes[:3])
+    assert in_one_odometry_frame((), ()) == ()

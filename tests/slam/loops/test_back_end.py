@@ -12,6 +12,7 @@ from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd
 from slam.pose_graph import PoseGraph
 from slam.stage_clock import StageClock
+from slam.tracking.tracked_frame import preview
 from slam.types import (
     Camera,
     Keyframe,
@@ -20,7 +21,6 @@ from slam.types import (
     RejectionReason,
     RelativePose,
     SlamError,
-    preview,
 )
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -56,6 +56,10 @@ def keyframes(frames):
     ]
 
 
+def in_use(solved):
+    return [(each.match_id, each.query_id) for each in solved.attempts if each.rejection is None]
+
+
 def links(keyframe):
     if not keyframe.id:
         return ()
@@ -81,7 +85,7 @@ def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
     solved = behind.solve()
     assert behind.keyframes == [keyframe for keyframe, _ in keyframes]
     assert {(each.match_id, each.query_id) for each in solved.attempts} == {(0, 2), (0, 3), (1, 3)}
-    assert solved.trusted_pairs() == [(each.match_id, each.query_id) for each in solved.attempts]
+    assert in_use(solved) == [(each.match_id, each.query_id) for each in solved.attempts]
     np.testing.assert_allclose(solved.T_world_kf, np.tile(np.eye(4), (4, 1, 1)), atol=1e-3)
     assert behind.similarities().shape == (4, 4)
 
@@ -95,7 +99,7 @@ def test_loops_that_lost_are_not_trusted(keyframes):
         tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
         behind.insert(keyframe, tie, rgb)
     solved = behind.solve()
-    assert len(solved.attempts) == 1 and solved.trusted_pairs() == []
+    assert len(solved.attempts) == 1 and in_use(solved) == []
 
 
 def test_one_loop_to_another_segment_is_of_no_use_and_a_second_makes_it_one(keyframes):
@@ -108,12 +112,12 @@ def test_one_loop_to_another_segment_is_of_no_use_and_a_second_makes_it_one(keyf
     assert alone.outcome == Rejection(RejectionReason.UNJOINED, 1, 2) and alone.weight is None
     assert isinstance(alone.verification.outcome, RelativePose)  # what geometry saw stays known
     assert np.isnan(solved.T_world_kf[0]).all() and np.isfinite(solved.T_world_kf[1]).all()
-    assert solved.trusted_pairs() == []
+    assert in_use(solved) == []
     motion = RelativePose(np.eye(4), INFORMATION)
     behind.insert(replace(third, segment=1), (Link(1, 2, motion),), rgb)
     solved = behind.solve()
     assert np.isfinite(solved.T_world_kf).all()
-    assert solved.trusted_pairs() == [(0, 1), (0, 2)]
+    assert in_use(solved) == [(0, 1), (0, 2)]
     assert [(link.ref_id, link.query_id) for link in solved.links] == [(0, 1), (1, 2)]
 
 

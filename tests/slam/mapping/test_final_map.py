@@ -5,7 +5,7 @@ import pytest
 from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
-from slam.mapping.map_adjustment import closed_map
+from slam.mapping.map_adjustment import adjust_with_loops
 
 
 @pytest.fixture
@@ -39,14 +39,14 @@ def test_a_loop_ties_what_was_seen_twice(two_visits, scene):
     the_map, T_map_kf = two_visits
     nearer = T_map_kf.copy()
     nearer[3:, :3, 3] += 0.8 * (scene.T_world_cam - T_map_kf)[3:, :3, 3]  # the graph's solution
-    closed = closed_map(the_map, range(6), nearer, [(2, 3)])
+    closed = adjust_with_loops(the_map, range(6), nearer, [(2, 3)])
     assert errors_m(closed, scene).max() < 0.003
     assert len(closed.shared_features(0, 5)) > 100
 
 
 def test_without_a_loop_nothing_is_tied(two_visits, scene):
     the_map, T_map_kf = two_visits
-    closed = closed_map(the_map, range(6), T_map_kf, [])
+    closed = adjust_with_loops(the_map, range(6), T_map_kf, [])
     assert errors_m(closed, scene)[3:].min() > 0.02
     assert len(closed.shared_features(0, 5)) == 0
 
@@ -54,7 +54,7 @@ def test_without_a_loop_nothing_is_tied(two_visits, scene):
 def test_the_trackers_map_stays_as_it_was(two_visits):
     the_map, T_map_kf = two_visits
     positions_m = the_map.landmarks.positions_m.copy()
-    closed_map(the_map, range(6), T_map_kf, [(0, 5)])
+    adjust_with_loops(the_map, range(6), T_map_kf, [(0, 5)])
     np.testing.assert_array_equal(the_map.landmarks.positions_m, positions_m)
     for keyframe, T in zip(the_map.keyframes, T_map_kf, strict=True):
         np.testing.assert_array_equal(keyframe.T_map_cam, T)
@@ -62,7 +62,7 @@ def test_the_trackers_map_stays_as_it_was(two_visits):
 
 def test_a_keyframe_beyond_the_graph_is_left_out(two_visits):
     the_map, T_map_kf = two_visits
-    closed = closed_map(the_map, range(5), T_map_kf[:5], [])
+    closed = adjust_with_loops(the_map, range(5), T_map_kf[:5], [])
     np.testing.assert_array_equal(closed.keyframes[5].T_map_cam, T_map_kf[5])
 
 
@@ -75,14 +75,14 @@ def test_a_segment_that_was_turned_round_is_tied_all_the_same(scene):
         pairs = empty_pairs() if k in (0, 3) else pairs
         the_map.add_keyframe(features, FeatureGrid(features, scene.camera), T, pairs)
         the_map.add_landmarks(k)
-    closed = closed_map(the_map, range(6), scene.T_world_cam, [(2, 3)])
+    closed = adjust_with_loops(the_map, range(6), scene.T_world_cam, [(2, 3)])
     assert errors_m(closed, scene).max() < 0.003
     assert len(closed.shared_features(0, 5)) > 100
 
 
 def test_keyframes_without_a_place_stay_as_they_are(two_visits):
     the_map, T_map_kf = two_visits
-    closed = closed_map(the_map, [3, 4, 5], T_map_kf[3:], [])
+    closed = adjust_with_loops(the_map, [3, 4, 5], T_map_kf[3:], [])
     for k in range(3):
         np.testing.assert_array_equal(closed.keyframes[k].T_map_cam, T_map_kf[k])
     assert len(closed.shared_features(2, 3)) == 0

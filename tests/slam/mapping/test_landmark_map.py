@@ -55,8 +55,8 @@ def test_a_second_keyframe_adds_only_what_is_new(one, scene):
     second = add(one, scene, 1, pairs)
     made = one.add_landmarks(second)
     assert len(made) == 20 and len(one.landmarks) == 140
-    assert one.company(np.arange(120)) == [0, 1]
-    assert one.company(made) == [1]
+    assert one.covisible_keyframes(np.arange(120)) == [0, 1]
+    assert one.covisible_keyframes(made) == [1]
     np.testing.assert_array_equal(one.shared_features(0, 1), pairs)
 
 
@@ -72,7 +72,7 @@ def test_fusing_lets_a_keyframe_see_what_it_had_overlooked(one, scene):
     second = add(one, scene, 1)
     one.fuse(second, np.arange(120), 3.0)
     assert len(one.seen_by([second])) > 110
-    assert one.company(np.arange(120))[0] in (0, 1)
+    assert one.covisible_keyframes(np.arange(120))[0] in (0, 1)
 
 
 def test_landmarks_where_nothing_fits_are_not_fused(one, scene):
@@ -88,7 +88,7 @@ def test_landmarks_are_carried_with_the_keyframe_that_made_them(one, scene):
     made = one.add_landmarks(second)
     before = one.landmarks.positions_m[:140].copy()
     T_new_old = se3.exp(np.array([0.1, 0.0, 0.2, 1.0, 2.0, 3.0]))
-    one.carry([second], np.array([T_new_old @ scene.T_world_cam[1]]))
+    one.move_keyframes([second], np.array([T_new_old @ scene.T_world_cam[1]]))
     np.testing.assert_array_equal(one.landmarks.positions_m[:120], before[:120])
     expected = se3.transform(T_new_old, before[made])
     np.testing.assert_allclose(one.landmarks.positions_m[made], expected, atol=1e-9)

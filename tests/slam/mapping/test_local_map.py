@@ -87,13 +87,13 @@ def test_a_slow_adjustment_gives_the_same_bits(scene, monkeypatch):
 
 
 def test_what_is_adjusted_is_taken_from_the_map_before_the_thread_begins(scene, monkeypatch):
-    takers, take_part = [], module.take_part
+    takers, extract_problem = [], module.extract_problem
 
     def watched(*arguments):
         takers.append(threading.current_thread())
-        return take_part(*arguments)
+        return extract_problem(*arguments)
 
-    monkeypatch.setattr(module, "take_part", watched)
+    monkeypatch.setattr(module, "extract_problem", watched)
     local_map = LocalMap(scene.camera, Config())
     for k in range(2):
         insert(local_map, scene, k)

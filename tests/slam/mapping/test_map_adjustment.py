@@ -6,7 +6,7 @@ from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
 from slam.mapping.landmarks import UNSEEN
-from slam.mapping.map_adjustment import adjusted, put_back, take_part
+from slam.mapping.map_adjustment import adjusted, extract_problem, write_back
 
 ROUNDS = (5, 5)
 
@@ -38,11 +38,11 @@ def errors_m(the_map, scene):
 
 
 def test_only_what_ties_keyframes_together_is_taken(the_map):
-    part = take_part(the_map, [0, 1, 2, 3], [4])
+    part = extract_problem(the_map, [0, 1, 2, 3], [4])
     np.testing.assert_array_equal(part.landmark_ids, np.arange(100))
     assert part.keyframe_ids == (0, 1, 2, 3, 4)
     assert part.bundle.is_fixed.tolist() == [False] * 4 + [True]
-    assert take_part(the_map, range(5), []).bundle.is_fixed.tolist() == [True] + [False] * 4
+    assert extract_problem(the_map, range(5), []).bundle.is_fixed.tolist() == [True] + [False] * 4
     assert len(part.fits) == 500 and part.fits.all()
     for k, p, f in zip(part.bundle.camera_of, part.bundle.point_of, part.feature_of, strict=True):
         assert the_map.keyframes[part.keyframe_ids[k]].landmark_of[f] == part.landmark_ids[p]
@@ -50,7 +50,7 @@ def test_only_what_ties_keyframes_together_is_taken(the_map):
 
 def test_taking_and_adjusting_leave_the_map_as_it_is(the_map):
     before = the_map.copy()
-    adjusted(take_part(the_map, range(5), []), the_map.camera, ROUNDS)
+    adjusted(extract_problem(the_map, range(5), []), the_map.camera, ROUNDS)
     for one, other in zip(the_map.keyframes, before.keyframes, strict=True):
         np.testing.assert_array_equal(one.T_map_cam, other.T_map_cam)
         np.testing.assert_array_equal(one.landmark_of, other.landmark_of)
@@ -59,21 +59,23 @@ def test_taking_and_adjusting_leave_the_map_as_it_is(the_map):
 
 def test_put_back_the_keyframes_are_where_they_were_in_truth(the_map, scene):
     assert errors_m(the_map, scene)[1:].min() > 0.004
-    put_back(the_map, adjusted(take_part(the_map, range(5), []), the_map.camera, ROUNDS))
+    write_back(the_map, adjusted(extract_problem(the_map, range(5), []), the_map.camera, ROUNDS))
     assert errors_m(the_map, scene).max() < 0.003
 
 
 def test_a_keyframes_own_landmarks_ride_on_it(the_map, scene):
-    put_back(the_map, adjusted(take_part(the_map, range(5), []), the_map.camera, ROUNDS))
+    write_back(the_map, adjusted(extract_problem(the_map, range(5), []), the_map.camera, ROUNDS))
     for keyframe in the_map.keyframes[1:]:
-        assert len(keyframe.made) == 20
-        found = the_map.landmarks.positions_m[keyframe.made]
+        assert len(keyframe.created_ids) == 20
+        found = the_map.landmarks.positions_m[keyframe.created_ids]
         assert np.abs(found - scene.points_m[100:]).max() < 0.05
 
 
 def test_fixed_keyframes_stay(the_map):
     before = [keyframe.T_map_cam.copy() for keyframe in the_map.keyframes]
-    put_back(the_map, adjusted(take_part(the_map, [3, 4], [0, 1, 2]), the_map.camera, ROUNDS))
+    write_back(
+        the_map, adjusted(extract_problem(the_map, [3, 4], [0, 1, 2]), the_map.camera, ROUNDS)
+    )
     moved = [
         not np.array_equal(keyframe.T_map_cam, T)
         for keyframe, T in zip(the_map.keyframes, before, strict=True)
@@ -84,7 +86,7 @@ def test_fixed_keyframes_stay(the_map):
 def test_what_does_not_fit_is_seen_no_more(the_map):
     keyframe = the_map.keyframes[2]
     keyframe.measured.seen[:7, 0] += 40.0
-    put_back(the_map, adjusted(take_part(the_map, range(5), []), the_map.camera, ROUNDS))
+    write_back(the_map, adjusted(extract_problem(the_map, range(5), []), the_map.camera, ROUNDS))
     assert (keyframe.landmark_of[:7] == UNSEEN).all()
     assert (keyframe.landmark_of[7:100] != UNSEEN).mean() > 0.9
     assert the_map.landmarks.sightings[:7].tolist() == [4] * 7

@@ -11,7 +11,8 @@ from slam.datasets.cameras import FREIBURG
 from slam.geometry import se3
 from slam.output.point_cloud import fuse, write_map
 from slam.result import SlamResult
-from slam.types import Camera, Frame, Keyframe, SlamError, Trajectory, preview
+from slam.tracking.tracked_frame import preview
+from slam.types import Camera, Frame, Keyframe, SlamError, Trajectory
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
 COARSE = MapConfig(voxel_m=0.05)

@@ -2,21 +2,21 @@
 import numpy as np
 import pytest
 
-from slam.tracking.frame_log import Rides
+from slam.tracking.frame_log import FrameLog
 
 AHEAD = np.eye(4)
 AHEAD[0, 3] = 0.5
 
 
 @pytest.fixture
-def rides():
+def frames():
     """Return two frames on each of keyframes 0, 1 and 2, and two that were lost in between."""
-    rides = Rides()
+    frames = FrameLog()
     for k in range(3):
-        rides.add(10.0 * k, k, np.eye(4))
-        rides.add(10.0 * k + 1.0, k, AHEAD)
-        rides.lose(10.0 * k + 2.0)
-    return rides
+        frames.add(10.0 * k, k, np.eye(4))
+        frames.add(10.0 * k + 1.0, k, AHEAD)
+        frames.lose(10.0 * k + 2.0)
+    return frames
 
 
 def poses(*places):
@@ -26,32 +26,32 @@ def poses(*places):
     return T
 
 
-def test_frames_move_with_their_keyframe(rides):
-    trajectory = rides.trajectory(poses(0.0, 4.0, 7.0))
+def test_frames_move_with_their_keyframe(frames):
+    trajectory = frames.trajectory(poses(0.0, 4.0, 7.0))
     assert trajectory.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0, 20.0, 21.0]
     assert trajectory.T_world_cam[:, 0, 3].tolist() == [0.0, 0.5, 4.0, 4.5, 7.0, 7.5]
-    assert rides.per_keyframe() == {0: 2, 1: 2, 2: 2}
+    assert frames.per_keyframe() == {0: 2, 1: 2, 2: 2}
 
 
-def test_frames_of_a_keyframe_without_a_place_have_none_either(rides):
+def test_frames_of_a_keyframe_without_a_place_have_none_either(frames):
     T_world_kf = poses(0.0, np.nan, 7.0)
-    assert rides.trajectory(T_world_kf).timestamps_s.tolist() == [0.0, 1.0, 20.0, 21.0]
-    assert rides.unjoined_s(T_world_kf).tolist() == [10.0, 11.0]
-    assert rides.untracked_s(T_world_kf).tolist() == [2.0, 10.0, 11.0, 12.0, 22.0]
+    assert frames.trajectory(T_world_kf).timestamps_s.tolist() == [0.0, 1.0, 20.0, 21.0]
+    assert frames.unjoined_s(T_world_kf).tolist() == [10.0, 11.0]
+    assert frames.untracked_s(T_world_kf).tolist() == [2.0, 10.0, 11.0, 12.0, 22.0]
 
 
-def test_keyframes_that_nobody_knows_take_their_frames_with_them(rides):
-    assert len(rides.trajectory(poses(0.0, 4.0))) == 4
-    assert len(rides.unjoined_s(poses(0.0, 4.0))) == 0
-    assert rides.untracked_s(poses(0.0, 4.0)).tolist() == [2.0, 12.0, 20.0, 21.0, 22.0]
+def test_keyframes_that_nobody_knows_take_their_frames_with_them(frames):
+    assert len(frames.trajectory(poses(0.0, 4.0))) == 4
+    assert len(frames.unjoined_s(poses(0.0, 4.0))) == 0
+    assert frames.untracked_s(poses(0.0, 4.0)).tolist() == [2.0, 12.0, 20.0, 21.0, 22.0]
 
 
-def test_lost_frames_and_those_apart_are_warned_of(rides):
-    lost, apart = rides.warnings(poses(0.0, np.nan, 7.0))
+def test_lost_frames_and_those_apart_are_warned_of(frames):
+    lost, apart = frames.warnings(poses(0.0, np.nan, 7.0))
     assert lost.startswith("3 of 9 frames could not be tracked") and lost.endswith("2.000 s")
     assert apart.startswith("2 of 9 frames, from 10.000 s to 11.000 s, were tracked apart")
     assert apart.endswith("where they belong")
-    assert rides.warnings(poses(0.0, 4.0, 7.0)) == (lost,)
-    _, first = rides.warnings(poses(np.nan, np.nan, 7.0))
+    assert frames.warnings(poses(0.0, 4.0, 7.0)) == (lost,)
+    _, first = frames.warnings(poses(np.nan, np.nan, 7.0))
     assert first.startswith("4 of 9 frames") and first.endswith("begins at 20.000 s")
-    assert Rides().warnings(poses()) == ()
+    assert FrameLog().warnings(poses()) == ()

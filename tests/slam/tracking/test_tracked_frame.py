@@ -2,7 +2,8 @@
 import numpy as np
 import pytest
 
-from slam.types import Frame, preview
+from slam.tracking.tracked_frame import preview
+from slam.types import Frame
 
 
 def frame_of(rgb, depth_m):
