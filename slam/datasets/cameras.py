@@ -129,7 +129,7 @@ def write_camera(path: Path, camera: Camera) -> None:
     """Write a camera as TOML that `read_camera` reads back exactly.
 
     Raises:
-        SlamError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     values = {
         key: list(value) if isinstance(value, tuple) else value

@@ -66,7 +66,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory in the TUM format; the same poses always give the same bytes.
 
     Raises:
-        SlamError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     lines = [f"# {_COLUMNS}"]
     for timestamp_s, T_world_cam in zip(

@@ -93,7 +93,7 @@ def write_ledger(path: Path, result: SlamResult, drift: DriftReport | None) -> N
     The same attempts always give the same bytes: fixed keys, nine significant digits.
 
     Raises:
-        SlamError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     lines = [
         json.dumps(asdict(record), allow_nan=False) + "\n" for record in loop_records(result, drift)

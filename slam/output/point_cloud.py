@@ -32,7 +32,7 @@ def write_map(path: Path, result: SlamResult, config: MapConfig) -> None:
     """Write the fused cloud as a binary PLY file.
 
     Raises:
-        SlamError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     cloud = fuse(result, config)
     points, colors = np.asarray(cloud.points), np.asarray(cloud.colors)

@@ -38,7 +38,7 @@ def write_g2o(path: Path, T_world_kf: FloatArray, motions: Iterable[Link]) -> No
         motions: links, and the loops that hold as links too.
 
     Raises:
-        SlamError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     known = np.flatnonzero(np.isfinite(T_world_kf).all(axis=(1, 2)))
     lines = [f"VERTEX_SE3:QUAT {i} {_pose_text(T_world_kf[i])}" for i in known]

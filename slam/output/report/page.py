@@ -63,7 +63,7 @@ def write_report(
     """Write the page that explains a run; `truth` adds the true path to the drawings.
 
     Raises:
-        SlamError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     write_atomically(path, render(result, drift, settings_toml, title, truth))
 

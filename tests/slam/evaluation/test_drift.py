@@ -59,10 +59,10 @@ def keyframe(index, timestamp_s):
     return Keyframe(index, timestamp_s, np.eye(4), features, preview)
 
 
-def attempt(T_match_query, query_id=1, match_id=0, weight=None):
+def attempt(T_match_query, query_id=1, match_id=0):
     motion = RelativePose(T_match_query, np.eye(6))
     seen = Verification(motion, np.zeros((3, 4)), np.ones(3, dtype=np.bool_))
-    return LoopAttempt(query_id, match_id, 0.9, seen, motion, weight)
+    return LoopAttempt(query_id, match_id, 0.9, seen, motion)
 
 
 def rejected(reason, verification=None):
@@ -182,14 +182,15 @@ def test_a_loop_off_in_place_or_in_angle_is_false(off):
 
 def test_loops_that_are_not_in_use_are_not_false():
     wrong = attempt(moved(5.0))
-    by_graph = rejected(RejectionReason.OUTVOTED, wrong.verification)
-    by_similarity, outvoted, ignored = judged(
-        rejected(RejectionReason.LOW_SIMILARITY), by_graph, attempt(moved(5.0), weight=0.0)
+    by_similarity, outvoted = judged(
+        rejected(RejectionReason.LOW_SIMILARITY),
+        rejected(RejectionReason.OUTVOTED, wrong.verification),
     )
     assert math.isnan(by_similarity.translation_error_m)
     assert by_similarity.true_distance_m == pytest.approx(0.5)
-    assert outvoted.translation_error_m == ignored.translation_error_m > 4.0
-    assert by_similarity.is_false is outvoted.is_false is ignored.is_false is None
+    assert outvoted.translation_error_m > 4.0
+    assert by_similarity.is_false is None
+    assert outvoted.is_false is None
 
 
 def test_loops_without_truth_at_both_keyframes_are_unknown():

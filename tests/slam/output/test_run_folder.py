@@ -17,7 +17,7 @@ from slam.evaluation.trajectory import read_tum
 from slam.output.ledger import read_ledger
 from slam.output.run_folder import make_run_folder, write_run
 from slam.system import Slam
-from slam.types import RelativePose, SlamError
+from slam.types import Rejection, RejectionReason, RelativePose, SlamError
 
 NAMES = ("small room", "run_slam room")
 MINE = ("small room", "run_slam room --recognizer mine")
@@ -172,9 +172,9 @@ def test_the_same_run_gives_the_same_bytes(tmp_path, written, result, drift, seq
 
 def test_an_outvoted_loop_is_in_the_ledger_but_not_in_the_graph(tmp_path, result):
     motion = RelativePose(np.eye(4), np.eye(6))
-    loops = tuple(
-        replace(result.attempts[-1], outcome=motion, weight=weight) for weight in (1.0, 0.0)
-    )
+    in_use = replace(result.attempts[-1], outcome=motion, weight=1.0)
+    outvoted = Rejection(RejectionReason.OUTVOTED, 0.0, 0.5)
+    loops = (in_use, replace(in_use, outcome=outvoted, weight=0.0))
     config = Config(map=MapConfig(write=False))
     write_run(tmp_path, replace(result, attempts=loops), None, None, config, "x", "run_slam x")
     assert [each.accepted for each in read_ledger(tmp_path / "loops.jsonl")] == [True, False]

@@ -5,6 +5,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from placerec.errors import LoopcloseError
 from slam.geometry import se3
 from slam.pose_graph import read_g2o, write_g2o
 from slam.types import Link, RelativePose, SlamError
@@ -105,5 +106,5 @@ def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SlamError, match="cannot write"):
+    with pytest.raises(LoopcloseError, match="cannot write"):
         write_g2o(tmp_path / "none" / "graph.g2o", np.eye(4)[None], [])

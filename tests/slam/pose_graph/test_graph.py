@@ -202,7 +202,7 @@ def test_a_keyframe_without_a_link_is_named(walk: Walk) -> None:
     graph = walk.graph()
     graph.add_keyframe(99, np.eye(4))
     for solve in (graph.update, graph.finish):
-        with pytest.raises(SlamError, match="keyframe 99 hangs in the air"):
+        with pytest.raises(SlamError, match="keyframe 99 is not connected"):
             solve()
 
 
@@ -220,7 +220,7 @@ def test_wrong_use_is_named(walk: Walk) -> None:
         graph.add_keyframe(3, np.eye(4))
     graph.add_keyframe(88, np.eye(4))
     graph.add_keyframe(89, np.eye(4))
-    with pytest.raises(ValueError, match="link 88 - 89 hangs in the air"):
+    with pytest.raises(ValueError, match="link 88 - 89 is not connected"):
         graph.add_link(Link(88, 89, motion))
 
 
