@@ -1,8 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m placerec` is `placerec`."""
+"""The `placerec` command, also as `python -m placerec`."""
 
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 
-from placerec.cli import main
+import tyro
 
-sys.exit(main())
+from placerec.commands import calibrate, check, evaluate, fit, train
+from placerec.errors import RecognizerError
+
+BAD_USAGE = 2
+
+DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
+
+app = tyro.extras.SubcommandApp()
+for command in (check, evaluate, calibrate, fit, train):
+    app.command(command)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `placerec` and return its exit code: 0 good, 1 does not conform, 2 bad input."""
+    # A class that is being written is found in the current folder, as by `python -m`.
+    sys.path.append(str(Path.cwd()))
+    try:
+        return int(app.cli(prog="placerec", args=arguments, description=DESCRIPTION))
+    except RecognizerError as error:
+        print(f"placerec: {error}", file=sys.stderr)
+        return BAD_USAGE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -16,10 +16,10 @@ from slam.types import SlamError
 PYRAMID_SCALE = 1.2
 """Ratio between neighbouring pyramid levels; a feature's pixel noise grows with it."""
 
-Acceleration = Annotated[float, Field(ge=0.01, allow_inf_nan=False)]
+_Acceleration = Annotated[float, Field(ge=0.01, allow_inf_nan=False)]
 PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+_Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Section(BaseModel):
@@ -59,9 +59,9 @@ class VerificationConfig(Section):
     """Descriptor matches with depth needed before a pose is tried."""
     min_inliers: PositiveInt = 25
     """Matches that must agree with one rigid motion."""
-    min_inlier_ratio: Fraction = 0.25
+    min_inlier_ratio: _Fraction = 0.25
     """Share of the matches that must agree."""
-    min_support: Fraction = 0.04
+    min_support: _Fraction = 0.04
     """Share of the image that the inliers' bounding box must cover."""
     max_uncertainty_m: PositiveFloat = 0.05
     """Largest standard deviation of a loop's translation; it grows with the speed of turns."""
@@ -82,7 +82,7 @@ class OdometryConfig(Section):
     """A camera this far from its keyframe starts a new one."""
     keyframe_rotation_deg: PositiveFloat = 15.0
     """A camera turned this much against its keyframe starts a new one."""
-    keyframe_inlier_share: Fraction = 0.35
+    keyframe_inlier_share: _Fraction = 0.35
     """A new keyframe starts when fewer than this share of the keyframe's features is tracked."""
     links: Annotated[int, Field(ge=0)] = 4
     """Earlier keyframes that a new one is tied to by geometry (co-visibility), besides the last."""
@@ -114,10 +114,10 @@ class GraphConfig(Section):
 class MotionConfig(Section):
     """How the camera is carried: frames are smoothed accordingly, once all are placed."""
 
-    acceleration_m_s2: Acceleration = 1.0
+    acceleration_m_s2: _Acceleration = 1.0
     """Standard deviation of the acceleration along an axis; a calm hand's is 0.5 to 1. A large
     number leaves the frames where they were tracked."""
-    angular_acceleration_rad_s2: Acceleration = 5.0
+    angular_acceleration_rad_s2: _Acceleration = 5.0
     """The same of the turning; a calm hand's is 3 to 5."""
 
 

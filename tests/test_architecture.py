@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 PACKAGES = ("slam", "placerec")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 MOST_ENTRIES = 18
@@ -86,9 +87,29 @@ def imports(path: Path) -> set[str]:
     return {module.split(".")[0] for module in modules}
 
 
-def test_the_layers_that_people_read_are_those_that_are_checked():
+@pytest.mark.parametrize("number, package", [(0, "slam"), (1, "placerec")])
+def test_the_layers_that_people_read_are_those_that_are_checked(number: int, package: str):
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    layers = contracts["contracts"][0]["layers"]
-    table = (ROOT / "CONTRIBUTING.md").read_text().split("| `slam` |")[1].split("\n\n")[0]
+    layers = contracts["contracts"][number]["layers"]
+    table = CONTRIBUTING.split(f"| `{package}` |")[1].split("\n\n")[0]
     rows = [re.findall(r"`(\w+)`", row.split(" | ")[0]) for row in table.splitlines()[2:]]
     assert [set(row) for row in rows] == [set(layer.split(" | ")) for layer in layers]
+
+
+WAYS = CONTRIBUTING.split("## Four ways through the code")[1].split("\n## ")[0].split("\n**")[1:]
+
+
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.split("**")[0])
+def test_the_ways_through_the_code_are_there_and_short(way: str):
+    steps = re.findall(r"`(\S+): ([\w.]+)`", way)
+    assert 1 < len(steps) <= 7
+    assert len({file for file, _ in steps}) == len(steps)
+    for file, function in steps:
+        scope = ast.parse((ROOT / file).read_text()).body
+        for part in function.split("."):
+            (found,) = [
+                node
+                for node in scope
+                if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == part
+            ]
+            scope = found.body

@@ -18,10 +18,10 @@ from slam.types import (
     Trajectory,
 )
 
-MAX_TRUTH_GAP_S = 0.5
+_MAX_TRUTH_GAP_S = 0.5
 """Ground truth counts as interrupted where it has no pose for longer than this."""
 
-MIN_MATCHED_POSES = 3
+_MIN_MATCHED_POSES = 3
 """Fewer positions than this do not fix an alignment in space."""
 
 
@@ -99,7 +99,7 @@ def trajectory_error(
     """
     tolerance_s = config.max_time_difference_s
     in_estimate, in_truth = associate(estimate, truth, tolerance_s)
-    if len(in_estimate) < MIN_MATCHED_POSES:
+    if len(in_estimate) < _MIN_MATCHED_POSES:
         raise SlamError(_too_few_matches(len(in_estimate), estimate, truth, tolerance_s))
     T_world_cam, T_truth_cam = estimate.T_world_cam[in_estimate], truth.T_world_cam[in_truth]
     T_truth_world = align(T_world_cam[:, :3, 3], T_truth_cam[:, :3, 3])
@@ -179,7 +179,7 @@ def coverage(
 
     The breaks before sessions that start later are no part of it.
     """
-    is_covered = np.diff(truth.timestamps_s) <= MAX_TRUTH_GAP_S
+    is_covered = np.diff(truth.timestamps_s) <= _MAX_TRUTH_GAP_S
     covered_s = total_s = 0.0
     for session in _sessions(estimate, session_starts_s):
         start_s, end_s = session.timestamps_s[0], session.timestamps_s[-1]
@@ -243,7 +243,7 @@ def _too_few_matches(
     gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
     return (
         f"only {count} of {len(estimate)} poses have ground truth in time, "
-        f"{MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
+        f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
         f"{tolerance_s:g} s; check that both use one clock, or raise "
         "evaluation.max_time_difference_s"
     )

@@ -5,8 +5,8 @@ from importlib import import_module
 
 import pytest
 
+from placerec.__main__ import main
 from placerec.certificate import read_certificate
-from placerec.cli import main
 
 
 def test_check_prints_a_table_and_passes(capsys):

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from placerec.__main__ import main
 
 from placerec.certificate import read_certificate
-from placerec.cli import main
 from placerec.datasets import LabelledImages, open_dataset
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.recognizers.learned import LearnedRecognizer
