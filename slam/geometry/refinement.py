@@ -39,7 +39,7 @@ def _gauss_newton(
 
 @dataclass(frozen=True)
 class RefinedPose:
-    """A camera's pose and who agrees with it.
+    """A camera's pose and the points that agree with it.
 
     Attributes:
         T_world_cam: (4, 4).

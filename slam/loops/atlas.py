@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole of the map: segments, and the loops that join them."""
+"""The whole map: segments, and the submaps that loops join them to."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -36,8 +36,8 @@ class AtlasSolution:
 class Atlas:
     """Keyframes and motions, sorted into submaps that motions connect.
 
-    Every segment has a pose graph of its own. Whenever somebody asks, those that loops join make
-    one, in which the loops between them have to prove themselves as any other loop has to.
+    Every segment has a pose graph of its own. When the map is solved, segments that loops join get
+    one graph together, in which the loops between them are doubted as any other loop is.
     """
 
     def __init__(self, config: GraphConfig) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Places, loops and the pose graph: worked on behind the tracker's back, one keyframe at a time."""
+"""Places, loops and the pose graph, one keyframe at a time, in a thread beside tracking."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and 
 
 @dataclass(frozen=True)
 class ClosedLoops:
-    """What all keyframes together say.
+    """The keyframes' poses and loops once the graph is solved.
 
     Attributes:
         T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's submap to the largest.
@@ -51,10 +51,9 @@ class ClosedLoops:
 class BackEnd:
     """Describes each keyframe's place, closes its loops and constrains the graph, in a thread.
 
-    Tracking needs none of the answers, so it never waits for them, but for one thing: only a
-    few keyframes may be queued. So the work cannot pile up, and what comes out does not
-    depend on who was faster. The graph is solved only when somebody asks: each solve takes longer
-    than the one before.
+    Tracking needs none of the answers and waits only where the queue of keyframes is full. So the
+    work cannot pile up, and results do not depend on which thread was faster. The graph is solved
+    only when somebody asks, since each solve takes longer than the one before.
 
     Attributes:
         keyframes: those that were taken in completely.

@@ -23,7 +23,7 @@ _MAX_REFUSALS = 5
 
 @dataclass(frozen=True)
 class Bundle:
-    """Cameras, points, and who saw what.
+    """Cameras, points, and the observations of one by the other.
 
     Attributes:
         T_world_cam: (K, 4, 4).
@@ -82,7 +82,7 @@ def agreeing(bundle: Bundle, camera: Camera) -> NDArray[np.bool_]:
 
 
 class _Structure:
-    """Who sees whom, as sparse matrices: what stays the same from step to step.
+    """Which camera sees which point, as sparse matrices; the same in every step.
 
     Attributes:
         free: (F,), the cameras that may move.

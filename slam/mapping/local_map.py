@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of the map that the tracker looks at, kept true by adjusting it as keyframes enter."""
+"""The part of the map that frames are tracked against, adjusted whenever a keyframe enters."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 

@@ -67,7 +67,7 @@ def extract_problem(
 def adjusted(
     problem: AdjustmentProblem, camera: Camera, rounds: Sequence[int]
 ) -> AdjustmentProblem:
-    """Return it after some rounds of so many steps each; what does not fit sits one out."""
+    """Return it after rounds of so many steps; observations that do not fit miss the next round."""
     bundle, fits = problem.bundle, problem.fits
     for steps in rounds:
         moved = adjust(bundle.select(fits), camera, steps)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames put where a carried camera can have been: a hand shakes, but it does not jump."""
+"""All frames smoothed by how little a carried camera accelerates."""
 
 from collections.abc import Sequence
 

@@ -8,8 +8,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from placerec.__main__ import main
 
+from placerec.__main__ import main
 from placerec.recognizer import available
 
 ROOT = Path(__file__).parents[2]

@@ -3,8 +3,8 @@ import sys
 
 import numpy as np
 import pytest
-from placerec.__main__ import main
 
+from placerec.__main__ import main
 from placerec.certificate import read_certificate
 from placerec.recognizers.fitted_file import Fitted, read_fitted
 

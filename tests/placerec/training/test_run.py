@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from placerec.__main__ import main
 
+from placerec.__main__ import main
 from placerec.certificate import read_certificate
 from placerec.datasets import LabelledImages, open_dataset
 from placerec.networks import TRUNKS, PlaceNetwork
