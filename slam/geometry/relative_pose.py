@@ -67,7 +67,7 @@ def measure_relative_pose(
 
 @dataclass(frozen=True)
 class _Estimate:
-    """A motion and the matches that agree; the Hessian is zero where too few do for a refinement."""
+    """A motion and the matches that agree; the Hessian is zero where too few do to refine it."""
 
     T_ref_query: FloatArray
     hessian: FloatArray
