@@ -12,7 +12,7 @@ several processes share the trainings and no page is written; write it afterward
 import argparse
 from pathlib import Path
 
-from benchmarks.place_recognition.trainings import Trainer, planned_trainings, share
+from benchmarks.place_recognition.trainings import Trainer, planned_trainings
 from placerec.recognizers.learned import DEFAULT_WEIGHTS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -21,9 +21,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 def main() -> None:
     """Do what the command line asks for."""
     arguments = _arguments()
-    planned = planned_trainings()
-    if arguments.part:
-        planned = share(planned, *arguments.part)
+    part, parts = arguments.part or (1, 1)
+    planned = planned_trainings()[part - 1 :: parts]
     if arguments.list:
         for each in planned:
             done = "done" if each.weights(arguments.runs).exists() else "to do"

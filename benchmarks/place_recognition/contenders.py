@@ -4,6 +4,7 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ BLOCKS = {
 OWN_SIZES_PX = {"mobilenet_v2": ((160, 120), (192, 144)), "squeezenet": ((160, 120), (224, 168))}
 """Sizes to look at them at, where there are others than that of the training."""
 CELLS = (3, 4)
+FLATTENED, POOLED = "flattened, mean removed", f"pooled to {CELLS[0]}x{CELLS[1]} cells"
 IMAGES_PER_PASS = 16
 
 
@@ -73,34 +75,24 @@ def gradients() -> Contender:
 
 def untrained_layers(trunk: str, trunk_weights: Path) -> list[Contender]:
     """Return the layers of a trunk as they are before any training, in two ways each."""
-    own_size = TRUNK_PLANS[trunk].size or (0, 0)
-    sizes = OWN_SIZES_PX.get(trunk, (own_size,))
+    sizes = OWN_SIZES_PX.get(trunk, (TRUNK_PLANS[trunk].size or (0, 0),))
     return [layer for size in sizes for layer in _layers(trunk, size, trunk_weights)]
 
 
 def _layers(trunk: str, size: tuple[int, int], trunk_weights: Path) -> Iterator[Contender]:
-    through: dict[str, dict[str, Embeddings]] = {}
+    kept: dict[str, dict[str, Embeddings]] = {}
 
-    def find(dataset: PlaceDataset) -> dict[str, Embeddings]:
+    def embed(key: str, dataset: PlaceDataset) -> Embeddings:
         # One pass for all layers; only the last dataset's are kept, for they take much memory.
-        if dataset.name not in through:
-            through.clear()
-            through[dataset.name] = _embed_layers(trunk, size, trunk_weights, dataset)
-        return through[dataset.name]
+        if dataset.name not in kept:
+            kept.clear()
+            kept[dataset.name] = _embed_layers(trunk, size, trunk_weights, dataset)
+        return kept[dataset.name][key]
 
     for block in BLOCKS[trunk]:
-        for way in ("flattened, mean removed", f"pooled to {CELLS[0]}x{CELLS[1]} cells"):
+        for way in (FLATTENED, POOLED):
             key = f"{block} at {size[0]}x{size[1]}, {way}"
-            yield Contender(f"{trunk} {key}", key, _Layer(find, key))
-
-
-@dataclass(frozen=True)
-class _Layer:
-    find: Callable[[PlaceDataset], dict[str, Embeddings]]
-    key: str
-
-    def __call__(self, dataset: PlaceDataset) -> Embeddings:
-        return self.find(dataset)[self.key]
+            yield Contender(f"{trunk} {key}", key, partial(embed, key))
 
 
 def _embed_layers(
@@ -112,21 +104,17 @@ def _embed_layers(
     network.eval()
     flat: dict[str, list[Tensor]] = {block: [] for block in BLOCKS[trunk]}
     cells: dict[str, list[Tensor]] = {block: [] for block in BLOCKS[trunk]}
+    found: dict[str, Embeddings] = {}
     with torch.inference_mode():
         for images in _passes(dataset):
             for block, maps in _maps(network, network.prepare(images)):
                 flat[block].append(maps.flatten(start_dim=1))
                 pooled = functional.adaptive_avg_pool2d(maps, CELLS)
                 cells[block].append(pooled.flatten(start_dim=1))
-        found: dict[str, Embeddings] = {}
         for block in BLOCKS[trunk]:
-            values = torch.cat(flat.pop(block))
-            centred = functional.normalize(values - values.mean(dim=0))
-            at = f"{block} at {size[0]}x{size[1]}"
-            found[f"{at}, flattened, mean removed"] = centred.numpy()
-            found[f"{at}, pooled to {CELLS[0]}x{CELLS[1]} cells"] = functional.normalize(
-                torch.cat(cells.pop(block))
-            ).numpy()
+            at, values = f"{block} at {size[0]}x{size[1]}", torch.cat(flat.pop(block))
+            found[f"{at}, {FLATTENED}"] = functional.normalize(values - values.mean(dim=0)).numpy()
+            found[f"{at}, {POOLED}"] = functional.normalize(torch.cat(cells.pop(block))).numpy()
     return found
 
 

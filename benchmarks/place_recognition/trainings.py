@@ -2,7 +2,6 @@
 """The trainings that are compared: what each is, and how it is done, once and for all."""
 
 import hashlib
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -10,11 +9,8 @@ from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
 from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge
 from placerec.training.config import TrainingPlan
-from placerec.training.loop import Training
 from placerec.training.run import WEIGHTS_NAME, start_training, write_results
 from placerec.training.workers import Workers
-
-# ---- The recipe: all that the trainings have in common, and what they differ in. ----
 
 RECIPE = TrainingPlan(
     covariance=True,
@@ -61,8 +57,6 @@ PAPERS_START = "papers-conditions-start"
 LATER_SETTINGS = {"random_last_layer": False}
 """What trainings had that were done before there was such a setting: their folders stay theirs."""
 XYZ = "rgbd_dataset_freiburg1_xyz"
-
-# ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -159,14 +153,16 @@ class Trainer:
         folder, plan = planned.folder(self._runs), planned.plan
         if plan.weights is not None:
             plan = replace(plan, weights=self._trunk_weights / plan.weights)
-        training = start_training(
-            plan, self._learned_from(planned.with_xyz), folder, Workers(), _ignore
-        )
+        images = self._learned_from(planned.with_xyz)
+        training = start_training(plan, images, folder, Workers(), lambda done, total: None)
         if planned.is_start:
             merge(training.network)
             save_weights(training.network, planned.weights(self._runs), 0.0)
             return
-        _follow(planned.name, training)
+        for record in training:
+            if record.step % 10 == 0:
+                minutes = record.time_to_go_s / 60
+                print(f"{planned.name}: step {record.step}, {minutes:.1f} min to go", flush=True)
         write_results(training, plan, folder)
         training.checkpoint_path.unlink(missing_ok=True)  # large, and of no use any more
 
@@ -178,19 +174,3 @@ class Trainer:
             xyz = [open_dataset(str(self._data / XYZ))] if with_xyz else []
             self._images[with_xyz] = LabelledImages([*self._datasets, *xyz])
         return self._images[with_xyz]
-
-
-def share(planned: Iterable[PlannedTraining], part: int, parts: int) -> list[PlannedTraining]:
-    """Return the trainings of one of several processes, part 1 to parts."""
-    return list(planned)[part - 1 :: parts]
-
-
-def _follow(name: str, training: Training) -> None:
-    for record in training:
-        if record.step % 10 == 0:
-            minutes = record.time_to_go_s / 60
-            print(f"{name}: step {record.step}, {minutes:.1f} min to go", flush=True)
-
-
-def _ignore(_done: int, _total: int) -> None:
-    """Images are looked at."""

@@ -7,14 +7,14 @@ them gets hard negatives without looking for them.
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
+import cv2
 import numpy as np
 
 from benchmarks.training_scenes.desk_scene import TABLE_HEIGHT_M, cluttered_table, table_size
 from benchmarks.training_scenes.folder import Image, as_cheap_cameras_see
-from benchmarks.training_scenes.photographs import paper
 from benchmarks.training_scenes.poses import (
     PATH_S,
     PATH_VIEWS,
@@ -25,7 +25,7 @@ from benchmarks.training_scenes.poses import (
     swing,
 )
 from slam.demo.layout import furnished_room
-from slam.demo.panels import light
+from slam.demo.panels import Panel, light
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
 from slam.types import Camera, FloatArray
 
@@ -37,7 +37,7 @@ APART, NEARBY = 0.8, 1.5
 """Least distance of two places, and the largest of most of them to some other."""
 SECONDS_APART = 4.0
 """Between two views, so that none is left out for following the last too soon."""
-PHOTOGRAPHED = 0.4
+PHOTOGRAPHED, SMALLEST_TEXELS = 0.4, 24
 LEAST_CONTRAST = 20.0
 WORKERS = 2
 
@@ -95,9 +95,45 @@ def build_scene(kind: str, seed: int, photographs: Sequence[Image]) -> Scene:
     table_m = table_size(rng) if kind == "desk" else None
     panels = cluttered_table(rng, *table_m) if table_m else furnished_room(rng, *ROOM_SIZE_M)
     if photographs and rng.random() < 0.7:
-        panels = paper(panels, photographs, PHOTOGRAPHED, rng)
+        panels = papered(panels, photographs, PHOTOGRAPHED, rng)
     lamps_m = LAMPS_M if table_m is None else rng.uniform((-2, -2, 1.6), (2, 2, 2.4), (3, 3))
     return Scene(assemble(light(panels, lamps_m, rng)), table_m)
+
+
+def papered(
+    panels: Sequence[Panel],
+    photographs: Sequence[Image],
+    share: float,
+    rng: np.random.Generator,
+) -> list[Panel]:
+    """Return the panels, some of them showing a piece of a photograph instead.
+
+    Args:
+        panels: not yet lit; those too small to show anything are left as they are.
+        photographs: (h, w, 3) uint8 RGB each.
+        share: of the panels that get one.
+        rng: chooses panels, photographs and pieces.
+    """
+    return [
+        replace(panel, texture=_piece(photographs[int(rng.integers(len(photographs)))], panel, rng))
+        if min(panel.texture.shape[:2]) >= SMALLEST_TEXELS and rng.random() < share
+        else panel
+        for panel in panels
+    ]
+
+
+def _piece(photograph: Image, panel: Panel, rng: np.random.Generator) -> Image:
+    """Return a piece of the panel's shape, a quarter to all of the photograph, maybe mirrored."""
+    height, width = panel.texture.shape[:2]
+    rows, columns = photograph.shape[:2]
+    scale = rng.uniform(0.25, 1.0) * min(columns / width, rows / height)
+    w, h = max(1, int(width * scale)), max(1, int(height * scale))
+    left, top = rng.integers(columns - w + 1), rng.integers(rows - h + 1)
+    piece = photograph[top : top + h, left : left + w]
+    if rng.random() < 0.5:
+        piece = piece[:, ::-1]
+    how = cv2.INTER_AREA if w > width else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=how))
 
 
 def views_of_places(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.place_recognition.__main__ import main
 from benchmarks.place_recognition.trainings import (
     LOSSES,
     SEEDS,
@@ -11,7 +12,6 @@ from benchmarks.place_recognition.trainings import (
     compared_name,
     papers_name,
     planned_trainings,
-    share,
 )
 from placerec.networks import TRUNKS
 
@@ -55,7 +55,11 @@ def test_another_plan_of_the_same_name_is_not_taken_for_done(tmp_path: Path):
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3])
-def test_parts_share_all_trainings_among_them(parts: int):
-    planned = planned_trainings()
-    shared = [each for part in range(parts) for each in share(planned, part + 1, parts)]
-    assert sorted(each.name for each in shared) == sorted(PLANNED)
+def test_parts_share_all_trainings_among_them(parts: int, monkeypatch, capsys):
+    folders = [f"--{name}=nowhere" for name in ("data", "scenes", "validation", "trunk-weights")]
+    for part in range(1, parts + 1):
+        told = ["_", *folders, "--runs=nowhere", "--list", f"--part={part}/{parts}"]
+        monkeypatch.setattr("sys.argv", told)
+        main()
+    listed = [line.removeprefix("to do  ") for line in capsys.readouterr().out.splitlines()]
+    assert sorted(listed) == sorted(each.folder(Path()).name for each in PLANNED.values())

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from benchmarks.place_recognition.measured import Measured
-from benchmarks.place_recognition.sets import EvaluationSet
+from benchmarks.place_recognition.measured import EvaluationSet, Measured
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.evaluation.figures import (
@@ -29,7 +28,7 @@ PAPERS_BYTES = {"1000 values": 4.0 * 1000, "4096 values": 4.0 * 4096}
 """The paper's dimensions in single precision; its figures name no other numbers in the text."""
 
 
-class Pictures:
+class Figures:
     """Draws figures into a folder; each method returns the files' names."""
 
     def __init__(self, folder: Path) -> None:
@@ -41,11 +40,12 @@ class Pictures:
         dataset = _typical(each, next(iter(methods.values())))
         found = {name: m.similarities[dataset.name] for name, m in methods.items()}
         title = each.name if len(each.datasets) == 1 else f"{each.name}: {dataset.name}"
+        slug = each.name.replace(" ", "_")
         pairs = {name: pair_curve(values, dataset) for name, values in found.items()}
         best = {name: best_match_curve(values, dataset) for name, values in found.items()}
         return [
-            self._png(f"pairs-{each.slug}", precision_recall(pairs, f"{title}, all pairs")),
-            self._png(f"best-{each.slug}", precision_recall(best, f"{title}, best matches")),
+            self._png(f"pairs-{slug}", precision_recall(pairs, f"{title}, all pairs")),
+            self._png(f"best-{slug}", precision_recall(best, f"{title}, best matches")),
         ]
 
     def distances(self, dataset: PlaceDataset, methods: Mapping[str, Similarities]) -> str:
@@ -75,12 +75,14 @@ class Pictures:
         return self._svg(f"way-{name.split(',')[0].replace(' ', '_')}", figure)
 
     def _svg(self, name: str, figure: Figure) -> str:
-        write_atomically(self._folder / f"{name}.svg", svg(figure))
-        return f"{name}.svg"
+        return self._write(f"{name}.svg", svg(figure))
 
     def _png(self, name: str, figure: Figure) -> str:
-        write_atomically(self._folder / f"{name}.png", png(figure))
-        return f"{name}.png"
+        return self._write(f"{name}.png", png(figure))
+
+    def _write(self, name: str, content: bytes) -> str:
+        write_atomically(self._folder / name, content)
+        return name
 
 
 def _typical(each: EvaluationSet, method: Measured) -> PlaceDataset:
