@@ -32,12 +32,11 @@ from placerec.drawing import canvas, line_styles, png, svg
 from placerec.index import PlaceIndex
 from placerec.recognizer import load
 from slam.cli import DEFAULT_RECOGNIZER
-from slam.config import EvaluationConfig
+from slam.config import Config
 from slam.demo.drive import LAP_S
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.room import build_room, render
-from slam.evaluation.drift import judge_loops, trajectory_error
-from slam.result import SlamResult
+from slam.evaluation.drift import compare_drift
 from slam.system import Slam
 from slam.tracking.odometry import TrackedFrame
 from slam.types import Camera, FloatArray, Frame, Trajectory
@@ -45,7 +44,7 @@ from slam.types import Camera, FloatArray, Frame, Trajectory
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 FRAMES_PER_S = 15.0
 EARLY = slice(500, 1500)  # around frame 1,000
-LATE = 1000  # so many frames at the end
+LATE = slice(-1000, None)
 MB = 1024.0**2
 
 
@@ -136,14 +135,9 @@ class Run:
     false_loops: int
     ate_m: tuple[float, float]
 
-    @property
-    def late(self) -> slice:
-        """The last 1,000 frames."""
-        return slice(max(0, len(self.frame_s) - LATE), None)
-
     def growth(self, per_frame: FloatArray, of: Callable[[FloatArray], float]) -> float:
         """Return how many times more the last frames take than those around frame 1,000."""
-        return float(of(per_frame[self.late]) / of(per_frame[EARLY]))
+        return float(of(per_frame[LATE]) / of(per_frame[EARLY]))
 
 
 def measure(frames: int, recognizer: str) -> Run:
@@ -168,27 +162,28 @@ def measure(frames: int, recognizer: str) -> Run:
     result = slam.finish()
     finish_s = time.perf_counter() - start_s
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0 / MB
-    costs = frame_s, cpu_s, memory_mb, np.cumsum(keyframes), np.array(TimedIndex.seconds)
-    return Run(*costs, finish_s, peak_mb - before_mb, *judged(result, film.truth(frames)))
+    estimates, loops = (result.odometry, result.trajectory), (result.attempts, result.keyframes)
+    drift = compare_drift(*estimates, film.truth(frames), *loops, Config().evaluation)
+    kept = [loop.is_false for loop in drift.loops if loop.is_false is not None]
+    return Run(
+        frame_s,
+        cpu_s,
+        memory_mb,
+        np.cumsum(keyframes),
+        np.array(TimedIndex.seconds),
+        finish_s,
+        peak_mb - before_mb,
+        untracked=len(result.untracked_s),
+        loops=len(kept),
+        false_loops=sum(kept),
+        ate_m=(drift.before.ate_rmse_m, drift.after.ate_rmse_m),
+    )
 
 
 def memory_in_use_mb() -> float:
     """Return the memory that this process holds now."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / MB
-
-
-def judged(result: SlamResult, truth: Trajectory) -> tuple[int, int, int, tuple[float, float]]:
-    """Return how many frames got lost, how many loops hold and are false, and both errors."""
-    config = EvaluationConfig()
-    loops = judge_loops(result.attempts, result.keyframes, truth, config)
-    kept = sum(each.rejection is None for each in result.attempts)
-    false = sum(each.is_false is True for each in loops)
-    before_m, after_m = (
-        trajectory_error(each, truth, config).ate_rmse_m
-        for each in (result.odometry, result.trajectory)
-    )
-    return len(result.untracked_s), kept, false, (before_m, after_m)
 
 
 def table(runs: list[Run]) -> str:
@@ -201,7 +196,7 @@ def table(runs: list[Run]) -> str:
         ("keyframes", lambda run: str(run.keyframes[-1])),
         ("frames not tracked", lambda run: str(run.untracked)),
         ("ms per frame around frame 1,000", lambda run: ms(run.frame_s[EARLY])),
-        ("ms per frame at the end", lambda run: ms(run.frame_s[run.late])),
+        ("ms per frame at the end", lambda run: ms(run.frame_s[LATE])),
         ("their ratio", lambda run: f"{run.growth(run.frame_s, np.median):.2f}"),
         ("the ratio of the means", lambda run: f"{run.growth(run.frame_s, np.mean):.2f}"),
         ("and of the work of all threads", lambda run: f"{run.growth(run.cpu_s, np.mean):.2f}"),
@@ -224,7 +219,8 @@ def draw(runs: list[Run], folder: Path) -> None:
     """Draw the three curves of every run, the shorter ones on top of the longer."""
     with canvas(8.0, 7.0) as figure:
         time_axes, memory_axes, query_axes = figure.subplots(3, 1)
-        for run, (colour, _) in zip(sorted(runs, key=lambda run: -len(run.frame_s)), line_styles()):
+        longest_first = sorted(runs, key=lambda run: -len(run.frame_s))
+        for run, (colour, _) in zip(longest_first, line_styles(), strict=False):
             numbers, label = np.arange(len(run.frame_s)), f"{len(run.frame_s):,} frames"
             at, middle, slowest = _by_lap(run.frame_s)
             time_axes.plot(at, 1e3 * middle, color=colour, label=f"{label}, median of a lap")

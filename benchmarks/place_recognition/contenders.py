@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.place_recognition.trainings import PUBLISHED_WEIGHTS, TRUNK_PLANS
+from benchmarks.place_recognition.trainings import TRUNK_PLANS
 from placerec.datasets import PlaceDataset
+from placerec.evaluation.embeddings import embed_dataset
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
+from placerec.recognizer import PlaceRecognizer
 from placerec.recognizers.gradients import GradientRecognizer
 from placerec.recognizers.learned import LearnedRecognizer
 
 Embeddings = NDArray[np.float32]
 
+GRADIENTS = "gradients"
 BLOCKS = {
     "mobilenet_v2": ("block3", "block6", "block9", "block12", "block13", "block15", "block16"),
     "squeezenet": ("fire3", "fire5", "fire7", "fire8", "fire9"),
@@ -51,26 +54,19 @@ class Contender:
     embed: Callable[[PlaceDataset], Embeddings]
 
 
-def learned(name: str, weights: Path) -> Contender:
-    """Return a trained network, read when it is needed."""
-
-    def embed(dataset: PlaceDataset) -> Embeddings:
-        recognizer = LearnedRecognizer(weights)
-        return np.concatenate(
-            [recognizer.embed_many(images) for images in _passes(dataset)], dtype=np.float32
-        )
-
-    return Contender(name, hashlib.sha256(weights.read_bytes()).hexdigest(), embed)
-
-
 def gradients() -> Contender:
     """Return the built-in recognizer without weights."""
+    return Contender(GRADIENTS, "1", partial(_embed, GradientRecognizer))
 
-    def embed(dataset: PlaceDataset) -> Embeddings:
-        recognizer = GradientRecognizer()
-        return np.stack([recognizer.embed(image) for image in dataset])
 
-    return Contender("gradients", "1", embed)
+def learned(name: str, weights: Path) -> Contender:
+    """Return a trained network, read when it is needed."""
+    fingerprint = hashlib.sha256(weights.read_bytes()).hexdigest()
+    return Contender(name, fingerprint, partial(_embed, partial(LearnedRecognizer, weights)))
+
+
+def _embed(make: Callable[[], PlaceRecognizer], dataset: PlaceDataset) -> Embeddings:
+    return embed_dataset(make(), dataset).embeddings
 
 
 def untrained_layers(trunk: str, trunk_weights: Path) -> list[Contender]:
@@ -99,14 +95,17 @@ def _embed_layers(
     trunk: str, size: tuple[int, int], trunk_weights: Path, dataset: PlaceDataset
 ) -> dict[str, Embeddings]:
     network = PlaceNetwork(TRUNKS[trunk], 1, size_px=size)
-    if trunk in PUBLISHED_WEIGHTS:
-        load_pretrained(network, trunk_weights / PUBLISHED_WEIGHTS[trunk])
+    weights = TRUNK_PLANS[trunk].weights
+    if weights is not None:
+        load_pretrained(network, trunk_weights / weights)
     network.eval()
     flat: dict[str, list[Tensor]] = {block: [] for block in BLOCKS[trunk]}
     cells: dict[str, list[Tensor]] = {block: [] for block in BLOCKS[trunk]}
     found: dict[str, Embeddings] = {}
     with torch.inference_mode():
-        for images in _passes(dataset):
+        for start in range(0, len(dataset), IMAGES_PER_PASS):
+            end = min(start + IMAGES_PER_PASS, len(dataset))
+            images = [dataset[i] for i in range(start, end)]
             for block, maps in _maps(network, network.prepare(images)):
                 flat[block].append(maps.flatten(start_dim=1))
                 pooled = functional.adaptive_avg_pool2d(maps, CELLS)
@@ -125,8 +124,3 @@ def _maps(network: PlaceNetwork, maps: Tensor) -> Iterator[tuple[str, Tensor]]:
         maps = layer(maps)
         if count in ends:
             yield ends[count], maps
-
-
-def _passes(dataset: PlaceDataset) -> Iterator[list[NDArray[np.uint8]]]:
-    for start in range(0, len(dataset), IMAGES_PER_PASS):
-        yield [dataset[i] for i in range(start, min(start + IMAGES_PER_PASS, len(dataset)))]

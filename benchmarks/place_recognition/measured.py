@@ -30,7 +30,7 @@ from placerec.evaluation.precision_recall import best_match_curve, compare, pair
 from placerec.files import write_atomically
 
 DESK, CORRIDOR, FLOORS, RENDERED = "fr1_desk", "corridor", "ie_tower test floors", "rendered rooms"
-DEFAULT, GRADIENTS = "shipped default", "gradients"
+DEFAULT = "shipped default"
 
 
 class EvaluationSet(NamedTuple):
@@ -100,33 +100,15 @@ class Results:
         return max(self.layers[trunk], key=lambda name: self.precisions([name], on))
 
 
-def open_sets(data: Path, validation: Path) -> list[EvaluationSet]:
-    """Open all evaluation sets; rendered paths that are not there are left out.
-
-    Raises:
-        RecognizerError: a folder is missing or in no known format.
-    """
-    sources = {
-        DESK: [str(data / "rgbd_dataset_freiburg1_desk")],
-        CORRIDOR: [str(data / "corridor")],
-        FLOORS: [f"{data / 'ie_tower'}:test"],
-        RENDERED: sorted(str(path.parent) for path in validation.glob("*/rgb.txt")),
-    }
-    return [
-        EvaluationSet(name, tuple(open_dataset(source) for source in folders))
-        for name, folders in sources.items()
-        if folders
-    ]
-
-
 def collect(
-    sets: Sequence[EvaluationSet], trunk_weights: Path, runs: Path, default: Path
+    data: Path, validation: Path, trunk_weights: Path, runs: Path, default: Path
 ) -> Results:
-    """Measure all that there is.
+    """Measure all that there is; without rendered paths, all but on them.
 
     Raises:
         RecognizerError: weights or images cannot be read, or a file cannot be written.
     """
+    sets = _open_sets(data, validation)
     files = {DEFAULT: default} | {each.name: each.weights(runs) for each in planned_trainings()}
     contenders = [gradients()]
     for name, weights in files.items():
@@ -141,6 +123,20 @@ def collect(
         found |= _measure_all(untrained, sets, runs / "measured")
         layers[trunk] = [each.name for each in untrained]
     return Results(sets, found, layers)
+
+
+def _open_sets(data: Path, validation: Path) -> list[EvaluationSet]:
+    sources = {
+        DESK: [str(data / "rgbd_dataset_freiburg1_desk")],
+        CORRIDOR: [str(data / "corridor")],
+        FLOORS: [f"{data / 'ie_tower'}:test"],
+        RENDERED: sorted(str(path.parent) for path in validation.glob("*/rgb.txt")),
+    }
+    return [
+        EvaluationSet(name, tuple(open_dataset(source) for source in folders))
+        for name, folders in sources.items()
+        if folders
+    ]
 
 
 def _measure_all(

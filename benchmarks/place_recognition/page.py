@@ -12,16 +12,11 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from benchmarks.place_recognition.checks import checks_table
+from benchmarks.place_recognition.contenders import GRADIENTS
 from benchmarks.place_recognition.figures import Figures
-from benchmarks.place_recognition.measured import (
-    DEFAULT,
-    GRADIENTS,
-    Results,
-    collect,
-    open_sets,
-)
+from benchmarks.place_recognition.measured import DEFAULT, Results, collect
 from benchmarks.place_recognition.tables import (
+    checks_table,
     markdown,
     number,
     percent,
@@ -58,14 +53,14 @@ TIMED_IMAGES = 50
 
 
 def write_page(
-    *, data: Path, validation: Path, trunk_weights: Path, runs: Path, default: Path, docs: Path
+    data: Path, validation: Path, trunk_weights: Path, runs: Path, default: Path, docs: Path
 ) -> None:
     """Measure what there is, and write the page and its figures.
 
     Raises:
         RecognizerError: data or weights cannot be read, or a file cannot be written.
     """
-    results = collect(open_sets(data, validation), trunk_weights, runs, default)
+    results = collect(data, validation, trunk_weights, runs, default)
     images = docs / "images" / "places"
     text = render({**_tables(results, runs), **_figures(results, runs, default, images)})
     write_atomically(docs / "place_recognition.md", text.encode())

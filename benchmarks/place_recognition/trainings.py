@@ -2,7 +2,9 @@
 """The trainings that are compared: what each is, and how it is done, once and for all."""
 
 import hashlib
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
@@ -27,35 +29,32 @@ RECIPE = TrainingPlan(
     augment=True,
     mixed_precision=True,
 )
+MOBILENET = Path("mobilenet_v2/mobilenet_v2.npz")
+SQUEEZENET = Path("squeezenet_v1.0/squeezenet_v1.0.npz")
+"""Published weights, below the folder of trunk weights; the other trunks start from scratch."""
 TRUNK_PLANS = {
-    "mobilenet_v2": replace(RECIPE, block="block12", size=(160, 120), steps=120),
-    "squeezenet": replace(RECIPE, trunk="squeezenet", block="fire5", size=(160, 120), steps=60),
+    "mobilenet_v2": replace(RECIPE, weights=MOBILENET, block="block12", size=(160, 120), steps=120),
+    "squeezenet": replace(
+        RECIPE, trunk="squeezenet", weights=SQUEEZENET, block="fire5", size=(160, 120), steps=60
+    ),
     "alexnet": replace(RECIPE, trunk="alexnet", block="conv5", size=(160, 120), steps=60),
     "vgg16": replace(RECIPE, trunk="vgg16", block="conv3_3", size=(96, 72), steps=15),
 }
-PUBLISHED_WEIGHTS = {
-    "mobilenet_v2": Path("mobilenet_v2/mobilenet_v2.npz"),
-    "squeezenet": Path("squeezenet_v1.0/squeezenet_v1.0.npz"),
-}
-"""Of the trunks that do not start from scratch, below the folder of trunk weights."""
 LOSSES = ("multi-constraint", "triplet")
 SEEDS = (0, 1, 2)
 DIMENSIONS = (4096, 1000)
 """Beside the recipe's own."""
 MAIN_TRUNK = "mobilenet_v2"
 """What the experiments are made with."""
+PAPERS_MARGINS = {"alpha": 0.5, "beta": 0.3, "gamma_prime": 0.4}
 PAPERS_CONDITIONS = {
     "covariance": False,
     "random_last_layer": True,
     "dimension": 1000,
-    "alpha": 0.5,
-    "beta": 0.3,
-    "gamma_prime": 0.4,
+    **PAPERS_MARGINS,
 }
 """Flattened maps, a fully connected layer from random weights, and the paper's margins."""
 PAPERS_START = "papers-conditions-start"
-LATER_SETTINGS = {"random_last_layer": False}
-"""What trainings had that were done before there was such a setting: their folders stay theirs."""
 XYZ = "rgbd_dataset_freiburg1_xyz"
 
 
@@ -77,11 +76,7 @@ class PlannedTraining:
 
     def folder(self, runs: Path) -> Path:
         """Return where its files are; another plan of the same name has another folder."""
-        settings = asdict(self.plan)
-        for name, default in LATER_SETTINGS.items():
-            if settings[name] == default:
-                del settings[name]
-        facts = repr((sorted(settings.items()), self.with_xyz, self.is_start))
+        facts = repr((self.plan, self.with_xyz, self.is_start))
         return runs / f"{self.name}-{hashlib.sha256(facts.encode()).hexdigest()[:8]}"
 
     def weights(self, runs: Path) -> Path:
@@ -101,25 +96,24 @@ def papers_name(loss: str, seed: int) -> str:
 
 def planned_trainings() -> list[PlannedTraining]:
     """Return all trainings, the most important ones first."""
-    plans = {
-        name: replace(plan, weights=PUBLISHED_WEIGHTS.get(name))
-        for name, plan in TRUNK_PLANS.items()
-    }
+    main, plans = TRUNK_PLANS[MAIN_TRUNK], TRUNK_PLANS.items()
     compared = [
         PlannedTraining(compared_name(trunk, loss, seed), replace(plan, loss=loss, seed=seed))
-        for trunk, plan in plans.items()
+        for trunk, plan in plans
         for seed in SEEDS
         for loss in LOSSES
     ]
-    main = plans[MAIN_TRUNK]
     starts = [
-        *(PlannedTraining(f"{trunk}-start", plan, is_start=True) for trunk, plan in plans.items()),
+        *(
+            PlannedTraining(f"{trunk}-start", plan, is_start=True)
+            for trunk, plan in TRUNK_PLANS.items()
+        ),
         PlannedTraining(PAPERS_START, replace(main, **PAPERS_CONDITIONS), is_start=True),
     ]
     experiments = [
         *(PlannedTraining(f"dimension-{d}", replace(main, dimension=d)) for d in DIMENSIONS),
         PlannedTraining("with-fr1_xyz", main, with_xyz=True),
-        PlannedTraining("papers-margins", replace(main, alpha=0.5, beta=0.3, gamma_prime=0.4)),
+        PlannedTraining("papers-margins", replace(main, **PAPERS_MARGINS)),
         PlannedTraining("papers-pooling", replace(main, covariance=False)),
     ]
     papers_all = [
@@ -133,44 +127,45 @@ def planned_trainings() -> list[PlannedTraining]:
     return [*compared[:count], *experiments, *papers_all, *starts, *compared[count:]]
 
 
-class Trainer:
-    """Does planned trainings; what they learn from is opened when it is first needed."""
+def train(
+    planned: Sequence[PlannedTraining], data: Path, scenes: Path, trunk_weights: Path, runs: Path
+) -> None:
+    """Do trainings, or go on with them; finished ones are not repeated.
 
-    def __init__(self, data: Path, scenes: Path, trunk_weights: Path, runs: Path) -> None:
-        self._data, self._trunk_weights, self._runs = data, trunk_weights, runs
-        self._scenes = sorted(path.parent for path in scenes.glob("*/rgb.txt"))
-        self._datasets: list[PlaceDataset] = []
-        self._images: dict[bool, LabelledImages] = {}
+    Raises:
+        RecognizerError: a plan or the data cannot be used, or a file cannot be written.
+    """
 
-    def train(self, planned: PlannedTraining) -> None:
-        """Do a training, or go on with it; a finished one is not repeated.
+    @cache
+    def datasets() -> list[PlaceDataset]:
+        rendered = sorted(str(path.parent) for path in scenes.glob("*/rgb.txt"))
+        return [open_dataset(source, "train") for source in (*rendered, str(data / "ie_tower"))]
 
-        Raises:
-            RecognizerError: the plan or the data cannot be used, or a file cannot be written.
-        """
-        if planned.weights(self._runs).exists():
-            return
-        folder, plan = planned.folder(self._runs), planned.plan
-        if plan.weights is not None:
-            plan = replace(plan, weights=self._trunk_weights / plan.weights)
-        images = self._learned_from(planned.with_xyz)
-        training = start_training(plan, images, folder, Workers(), lambda done, total: None)
-        if planned.is_start:
-            merge(training.network)
-            save_weights(training.network, planned.weights(self._runs), 0.0)
-            return
-        for record in training:
-            if record.step % 10 == 0:
-                minutes = record.time_to_go_s / 60
-                print(f"{planned.name}: step {record.step}, {minutes:.1f} min to go", flush=True)
-        write_results(training, plan, folder)
-        training.checkpoint_path.unlink(missing_ok=True)  # large, and of no use any more
+    @cache
+    def images(with_xyz: bool) -> LabelledImages:
+        xyz = [open_dataset(str(data / XYZ))] if with_xyz else []
+        return LabelledImages([*datasets(), *xyz])
 
-    def _learned_from(self, with_xyz: bool) -> LabelledImages:
-        if not self._datasets:
-            sources = [*map(str, self._scenes), str(self._data / "ie_tower")]
-            self._datasets = [open_dataset(source, "train") for source in sources]
-        if with_xyz not in self._images:
-            xyz = [open_dataset(str(self._data / XYZ))] if with_xyz else []
-            self._images[with_xyz] = LabelledImages([*self._datasets, *xyz])
-        return self._images[with_xyz]
+    for each in planned:
+        print(each.name, flush=True)
+        if not each.weights(runs).exists():
+            _train(each, images(each.with_xyz), trunk_weights, each.folder(runs))
+
+
+def _train(
+    planned: PlannedTraining, images: LabelledImages, trunk_weights: Path, folder: Path
+) -> None:
+    plan = planned.plan
+    if plan.weights is not None:
+        plan = replace(plan, weights=trunk_weights / plan.weights)
+    training = start_training(plan, images, folder, Workers(), lambda done, total: None)
+    if planned.is_start:
+        merge(training.network)
+        save_weights(training.network, folder / WEIGHTS_NAME, 0.0)
+        return
+    for record in training:
+        if record.step % 10 == 0:
+            minutes = record.time_to_go_s / 60
+            print(f"{planned.name}: step {record.step}, {minutes:.1f} min to go", flush=True)
+    write_results(training, plan, folder)
+    training.checkpoint_path.unlink(missing_ok=True)  # large, and of no use any more

@@ -6,7 +6,7 @@ mesh, which is then looked at anew. What no image of the recording saw shows a p
 repeated and mirrored all around, so that nothing of the same colour tells views with gaps.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -14,7 +14,7 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial.transform import Rotation
 
-from benchmarks.training_scenes.folder import Image, as_cheap_cameras_see
+from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
 from benchmarks.training_scenes.poses import distance, nudged, path_times_s, swing
 from placerec.datasets.tum import Recording, read_recording
 from slam.config import InputConfig
@@ -40,8 +40,6 @@ RADIUS, APART = 0.29, 0.6
 SECONDS_APART = 4.0
 LEAST_SEEN = 0.7
 """Share of an image that shows the mesh."""
-
-Views = Iterator[tuple[float, Image, FloatArray]]
 
 
 class RecordedPlace:

@@ -5,7 +5,7 @@ In each scene there are some places, near each other, and some views of each: wh
 them gets hard negatives without looking for them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from benchmarks.training_scenes.desk_scene import TABLE_HEIGHT_M, cluttered_table, table_size
-from benchmarks.training_scenes.folder import Image, as_cheap_cameras_see
+from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
 from benchmarks.training_scenes.poses import (
     PATH_S,
     PATH_VIEWS,
@@ -156,10 +156,8 @@ def path(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
     yaw_rad = rng.uniform(-np.pi, np.pi) + to_and_fro(1.2)
     roll_rad = to_and_fro(0.25, 1.2)
     if scene.table_m is None:
-        x_m, y_m = (
-            rng.uniform(-0.6, 0.6) + to_and_fro(0.7),
-            rng.uniform(-0.4, 0.4) + to_and_fro(0.6),
-        )
+        x_m = rng.uniform(-0.6, 0.6) + to_and_fro(0.7)
+        y_m = rng.uniform(-0.4, 0.4) + to_and_fro(0.6)
         positions_m = np.stack([x_m, y_m, 1.3 + to_and_fro(0.3)], axis=1)
         angles = zip(positions_m, yaw_rad, -0.31 + to_and_fro(0.3), roll_rad, strict=True)
         return [pose(*at) for at in angles]
@@ -179,10 +177,8 @@ def photographed(scene: Scene, T_world_cam: FloatArray, rng: np.random.Generator
     return as_cheap_cameras_see(render(scene.room, camera, T_world_cam).rgb, rng)
 
 
-def views(
-    kind: str, seed: int, photographs: Sequence[Image], paths: bool
-) -> Iterator[tuple[float, Image, FloatArray]]:
-    """Yield the (seconds, image, T_world_cam) of a scene's views, bare walls left out."""
+def views(kind: str, seed: int, photographs: Sequence[Image], paths: bool) -> Views:
+    """Yield a scene's views, bare walls left out."""
     scene, rng = build_scene(kind, seed, photographs), np.random.default_rng([seed, 0x71E])
     poses = path(scene, rng) if paths else views_of_places(scene, rng)
     pause_s = PATH_S / PATH_VIEWS if paths else SECONDS_APART
