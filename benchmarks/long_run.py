@@ -31,15 +31,12 @@ from tqdm import tqdm
 from placerec.drawing import canvas, line_styles, png, svg
 from placerec.index import PlaceIndex
 from placerec.recognizer import load
+from slam import Camera, Config, Frame, Slam, TrackedFrame, Trajectory, compare_drift
 from slam.cli import DEFAULT_RECOGNIZER
-from slam.config import Config
 from slam.demo.drive import LAP_S
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.room import build_room, render
-from slam.evaluation.drift import compare_drift
-from slam.system import Slam
-from slam.tracking.odometry import TrackedFrame
-from slam.types import Camera, FloatArray, Frame, Trajectory
+from slam.types import FloatArray
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 FRAMES_PER_S = 15.0

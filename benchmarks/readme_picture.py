@@ -13,12 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from placerec.drawing import AFTER, BEFORE, TRUTH, canvas, png, svg
+from slam import SlamError, read_tum
 from slam.config import load_config
 from slam.evaluation.drift import TrajectoryError, trajectory_error
-from slam.evaluation.trajectory import associate, read_tum
+from slam.evaluation.trajectory import associate
 from slam.geometry import se3
 from slam.output.ledger import read_ledger
-from slam.types import FloatArray, SlamError
+from slam.types import FloatArray
 
 ESTIMATES = {"odometry": BEFORE, "corrected": AFTER}
 

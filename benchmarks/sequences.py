@@ -63,11 +63,6 @@ class Run:
     summary: dict[str, Any]
     outputs: tuple[bytes, ...]
 
-    @property
-    def frames(self) -> int:
-        """Frames read, tracked or not."""
-        return int(self.summary["frames_tracked"] + self.summary["frames_untracked"])
-
 
 @dataclass(frozen=True)
 class Measured:
@@ -109,7 +104,7 @@ def measure(name: str, sequences: list[str], recognizer: str, runs: int) -> Meas
         rendering_s = None
         if DEMO in sequences:
             rendering_s, *_ = run_python(["-c", RENDER, str(folder / "sequence")], log)
-        command = ["-m", "slam.cli", *sequences, "--out", str(folder), "--recognizer", recognizer]
+        command = ["-m", "slam", *sequences, "--out", str(folder), "--recognizer", recognizer]
         done = []
         for _ in range(runs):
             cost = run_python(command, log)
@@ -143,13 +138,14 @@ def table(measured: list[Measured]) -> str:
 
 def _column(measured: Measured, stages: list[str]) -> dict[str, str]:
     runs = measured.runs
-    first = {**runs[0].summary, "frames": runs[0].frames}
-    words = {name: _text(value) for name, value in first.items()}
+    first = runs[0].summary
+    frames = first["frames_tracked"] + first["frames_untracked"]
+    words = {name: _text(value) for name, value in {**first, "frames": frames}.items()}
     stages_ms = [run.summary["stage_ms_per_frame"] for run in runs]
     same = sum(run.outputs == runs[0].outputs for run in runs)
     return {
         **{title: template.format_map(words) for title, template in ACCURACY.items()},
-        "frames/s, whole process": _median([run.frames / run.seconds for run in runs]),
+        "frames/s, whole process": _median([frames / run.seconds for run in runs]),
         **{
             f"ms per frame: {stage}": _median([each.get(stage, 0.0) for each in stages_ms])
             for stage in stages

@@ -27,25 +27,24 @@ import numpy as np
 from sequences import find, machine
 
 from placerec.recognizer import PlaceRecognizer, load
+from slam import Config, Slam, TrackedFrame, open_sequence
 from slam.cli import DEFAULT_RECOGNIZER
-from slam.config import InputConfig
-from slam.datasets import Sequence, open_sequence
+from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd
 from slam.mapping.local_map import LocalMap
-from slam.system import Slam
-from slam.tracking import odometry
-from slam.tracking.odometry import RgbdOdometry, TrackedFrame
+from slam.tracking import tracked_frame
+from slam.tracking.odometry import RgbdOdometry
 
 # What a call is made of, and where; a part within a part counts as the outer one.
 PARTS: dict[str, tuple[Any, str]] = {
     "features": (FeatureExtractor, "extract"),
     "adjustment": (RgbdOdometry, "settle"),
     "placing": (RgbdOdometry, "_follow"),
-    "recovery": (RgbdOdometry, "_recover"),
+    "relocalization": (RgbdOdometry, "_relocalize"),
     "local map": (LocalMap, "insert"),
     "links": (RgbdOdometry, "_links"),
-    "preview": (odometry, "preview"),
+    "preview": (tracked_frame, "preview"),
     "waiting for loops": (BackEnd, "insert"),
 }
 LONGEST = 5
@@ -193,13 +192,15 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"not on this machine: {parsed.sequence}", file=sys.stderr)
         return 1
     facts, recognizer = machine(), load(parsed.recognizer)
-    sequence = open_sequence(Path(path), InputConfig())
+    sequence = open_sequence(Path(path), Config().input)
     runs = [calls_of_a_run(sequence, recognizer) for _ in range(parsed.runs)]
-    tables = [distribution(runs)]
     together = [call for run in runs for call in run]
-    tables.append(longest(together, "longest calls: frame"))
     ordinary = [call for call in together if not call.is_keyframe]
-    tables.append(longest(ordinary, "longest without a keyframe: frame"))
+    tables = [
+        distribution(runs),
+        longest(together, "longest calls: frame"),
+        longest(ordinary, "longest without a keyframe: frame"),
+    ]
     caption = f"{Path(path).name}, recognizer {parsed.recognizer}; worst of {parsed.runs}; {facts}."
     text = "\n\n".join([*tables, caption]) + "\n"
     print(text, end="")

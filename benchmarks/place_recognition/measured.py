@@ -3,9 +3,8 @@
 
 import hashlib
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,14 +85,11 @@ class Results:
         """Return the average precision of each contender, of those that there are."""
         return self.values(names, on, "average_precision")
 
-    def seeds(self, trunk: str, loss: str) -> list[str]:
-        """Return the trainings of one trunk with one loss, only seeds that both losses have."""
-        return self.of_both(partial(compared_name, trunk), loss)
-
-    def of_both(self, name_of: Callable[[str, int], str], loss: str) -> list[str]:
-        """Return the trainings with one loss, called by loss and seed; seeds that both have."""
-        both = [seed for seed in SEEDS if all(name_of(each, seed) in self.found for each in LOSSES)]
-        return [name_of(loss, seed) for seed in both]
+    def seeds(self, group: str, loss: str) -> list[str]:
+        """Return the trainings of one group with one loss, only seeds that both losses have."""
+        names = {seed: [compared_name(group, each, seed) for each in LOSSES] for seed in SEEDS}
+        both = [seed for seed in SEEDS if all(name in self.found for name in names[seed])]
+        return [compared_name(group, loss, seed) for seed in both]
 
     def best_layer(self, trunk: str, on: str = DESK) -> str:
         """Return the untrained layer with the largest average precision."""

@@ -6,7 +6,6 @@ import platform
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -28,11 +27,10 @@ from benchmarks.place_recognition.trainings import (
     DIMENSIONS,
     LOSSES,
     MAIN_TRUNK,
-    PAPERS_START,
+    PAPERS,
     RECIPE,
     TRUNK_PLANS,
     compared_name,
-    papers_name,
     planned_trainings,
 )
 from placerec.datasets import PlaceDataset
@@ -146,15 +144,14 @@ def _costs(results: Results, runs: Path, default: Path, dataset: PlaceDataset) -
 
 def _losses_tables(results: Results) -> dict[str, str]:
     """Return multi-constraint against triplet, a table per trunk and the paper's conditions."""
-    compared = [
-        (trunk, trunk, partial(compared_name, trunk), f"{trunk}-start") for trunk in TRUNK_PLANS
-    ]
-    papers = (f"{MAIN_TRUNK}, under the paper's conditions", MAIN_TRUNK, papers_name, PAPERS_START)
+    groups = {trunk: (trunk, trunk) for trunk in TRUNK_PLANS}
+    groups[f"{MAIN_TRUNK}, under the paper's conditions"] = (PAPERS, MAIN_TRUNK)
     tables = {}
-    for title, trunk, name_of, start in (*compared, papers):
-        ours, theirs = (results.of_both(name_of, loss) for loss in LOSSES)
+    for title, (group, trunk) in groups.items():
+        ours, theirs = (results.seeds(group, loss) for loss in LOSSES)
         if ours:
-            tables[title] = _losses_table(results, ours, theirs, start, results.best_layer(trunk))
+            start, layer = f"{group}-start", results.best_layer(trunk)
+            tables[title] = _losses_table(results, ours, theirs, start, layer)
     return tables
 
 

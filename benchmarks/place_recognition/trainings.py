@@ -5,6 +5,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
@@ -54,7 +55,7 @@ PAPERS_CONDITIONS = {
     **PAPERS_MARGINS,
 }
 """Flattened maps, a fully connected layer from random weights, and the paper's margins."""
-PAPERS_START = "papers-conditions-start"
+PAPERS = "papers-conditions"
 XYZ = "rgbd_dataset_freiburg1_xyz"
 
 
@@ -84,47 +85,34 @@ class PlannedTraining:
         return self.folder(runs) / WEIGHTS_NAME
 
 
-def compared_name(trunk: str, loss: str, seed: int) -> str:
-    """Return what a training of the comparison of losses is called."""
-    return f"{trunk}-{loss}-seed{seed}"
-
-
-def papers_name(loss: str, seed: int) -> str:
-    """Return what a training under the paper's own conditions is called."""
-    return f"papers-conditions-{loss}-seed{seed}"
+def compared_name(group: str, loss: str, seed: int) -> str:
+    """Return what a training is called that compares losses: of a trunk, or of `PAPERS`."""
+    return f"{group}-{loss}-seed{seed}"
 
 
 def planned_trainings() -> list[PlannedTraining]:
     """Return all trainings, the most important ones first."""
-    main, plans = TRUNK_PLANS[MAIN_TRUNK], TRUNK_PLANS.items()
-    compared = [
-        PlannedTraining(compared_name(trunk, loss, seed), replace(plan, loss=loss, seed=seed))
-        for trunk, plan in plans
-        for seed in SEEDS
-        for loss in LOSSES
-    ]
-    starts = [
-        *(
-            PlannedTraining(f"{trunk}-start", plan, is_start=True)
-            for trunk, plan in TRUNK_PLANS.items()
-        ),
-        PlannedTraining(PAPERS_START, replace(main, **PAPERS_CONDITIONS), is_start=True),
-    ]
+    main = TRUNK_PLANS[MAIN_TRUNK]
+    groups = {**TRUNK_PLANS, PAPERS: replace(main, **PAPERS_CONDITIONS)}
+    compared = {
+        group: [
+            PlannedTraining(compared_name(group, loss, seed), replace(plan, loss=loss, seed=seed))
+            for seed in SEEDS
+            for loss in LOSSES
+        ]
+        for group, plan in groups.items()
+    }
     experiments = [
         *(PlannedTraining(f"dimension-{d}", replace(main, dimension=d)) for d in DIMENSIONS),
         PlannedTraining("with-fr1_xyz", main, with_xyz=True),
         PlannedTraining("papers-margins", replace(main, **PAPERS_MARGINS)),
         PlannedTraining("papers-pooling", replace(main, covariance=False)),
     ]
-    papers_all = [
-        PlannedTraining(
-            papers_name(loss, seed), replace(main, **PAPERS_CONDITIONS, loss=loss, seed=seed)
-        )
-        for seed in SEEDS
-        for loss in LOSSES
+    starts = [
+        PlannedTraining(f"{name}-start", plan, is_start=True) for name, plan in groups.items()
     ]
-    count = len(SEEDS) * len(LOSSES)
-    return [*compared[:count], *experiments, *papers_all, *starts, *compared[count:]]
+    first, papers = compared.pop(MAIN_TRUNK), compared.pop(PAPERS)
+    return [*first, *experiments, *papers, *starts, *chain(*compared.values())]
 
 
 def train(

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
 from benchmarks.training_scenes.poses import distance, nudged, path_times_s, swing
 from placerec.datasets.tum import Recording, read_recording
-from slam.config import InputConfig
-from slam.datasets import open_sequence
+from slam import Config, open_sequence
 from slam.evaluation.trajectory import nearest
 from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse
 from slam.types import FloatArray
@@ -127,7 +126,7 @@ def _poses(recording: Recording) -> FloatArray:
 
 
 def _fuse(folder: Path, recording: Recording, T_world_cam: FloatArray) -> o3d.geometry.TriangleMesh:
-    sequence = open_sequence(folder, InputConfig())
+    sequence = open_sequence(folder, Config().input)
     camera = sequence.camera
     size = camera.width, camera.height
     lens = np.array(camera.distortion)

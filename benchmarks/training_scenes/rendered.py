@@ -24,10 +24,11 @@ from benchmarks.training_scenes.poses import (
     pose,
     swing,
 )
+from slam import Camera
 from slam.demo.layout import furnished_room
 from slam.demo.panels import Panel, light
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
-from slam.types import Camera, FloatArray
+from slam.types import FloatArray
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 192, 144, 157.0
 PLACES, VIEWS = 36, 6

@@ -7,10 +7,10 @@ import pytest
 from benchmarks.place_recognition.__main__ import main
 from benchmarks.place_recognition.trainings import (
     LOSSES,
+    PAPERS,
     SEEDS,
     TRUNK_PLANS,
     compared_name,
-    papers_name,
     planned_trainings,
 )
 from placerec.networks import TRUNKS
@@ -33,7 +33,7 @@ def test_compared_trainings_differ_in_the_loss_alone(trunk: str, seed: int):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_papers_conditions_are_the_same_for_both_losses(seed: int):
-    ours, theirs = (PLANNED[papers_name(loss, seed)].plan for loss in LOSSES)
+    ours, theirs = (PLANNED[compared_name(PAPERS, loss, seed)].plan for loss in LOSSES)
     assert replace(ours, loss="triplet") == theirs != ours
     assert (ours.alpha, ours.beta, ours.gamma_prime) == (0.5, 0.3, 0.4)
     assert ours.random_last_layer and not ours.covariance
