@@ -49,7 +49,9 @@ def draw(run: Path, picture: Path) -> None:
 
 def _draw_paths(axes: Axes, truth_m: FloatArray, paths_m: list[FloatArray]) -> None:
     across, up = np.argsort(-np.ptp(truth_m, axis=0))[:2]
-    axes.plot(truth_m[:, across], truth_m[:, up], color=TRUTH, lw=3.5, label="ground truth")
+    axes.plot(
+        truth_m[:, across], truth_m[:, up], color=TRUTH, alpha=0.5, lw=3.5, label="ground truth"
+    )
     for (label, colour), path_m in zip(ESTIMATES.items(), paths_m, strict=True):
         axes.plot(path_m[:, across], path_m[:, up], color=colour, lw=1.1, label=label)
     axes.set_aspect("equal", adjustable="datalim")
