@@ -19,45 +19,30 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import cv2
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from placerec.drawing import canvas, line_styles, png, svg
 from placerec.index import PlaceIndex
 from placerec.recognizer import load
+from slam import Camera, Config, Frame, Slam, TrackedFrame, Trajectory, compare_drift
 from slam.cli import DEFAULT_RECOGNIZER
-from slam.config import EvaluationConfig
+from slam.demo.drive import LAP_S
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.room import build_room, render
-from slam.evaluation.drift import judge_loops, trajectory_error
-from slam.result import SlamResult
-from slam.system import Slam
-from slam.tracking.odometry import TrackedFrame
-from slam.types import Camera, FloatArray, Frame, Trajectory
+from slam.types import FloatArray
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
-FRAMES_PER_S, LAP_S = 15.0, 12.0
+FRAMES_PER_S = 15.0
 EARLY = slice(500, 1500)  # around frame 1,000
-LATE = 1000  # so many frames at the end
+LATE = slice(-1000, None)
 MB = 1024.0**2
-COLOURS = ("#0a64b4", "#c4600a")
-STYLE = {
-    "svg.hashsalt": "loopclose",
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e6e9",
-    "legend.frameon": False,
-}
 
 
 class Film:
@@ -147,14 +132,9 @@ class Run:
     false_loops: int
     ate_m: tuple[float, float]
 
-    @property
-    def late(self) -> slice:
-        """The last 1,000 frames."""
-        return slice(max(0, len(self.frame_s) - LATE), None)
-
     def growth(self, per_frame: FloatArray, of: Callable[[FloatArray], float]) -> float:
         """Return how many times more the last frames take than those around frame 1,000."""
-        return float(of(per_frame[self.late]) / of(per_frame[EARLY]))
+        return float(of(per_frame[LATE]) / of(per_frame[EARLY]))
 
 
 def measure(frames: int, recognizer: str) -> Run:
@@ -179,25 +159,28 @@ def measure(frames: int, recognizer: str) -> Run:
     result = slam.finish()
     finish_s = time.perf_counter() - start_s
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0 / MB
-    costs = frame_s, cpu_s, memory_mb, np.cumsum(keyframes), np.array(TimedIndex.seconds)
-    return Run(*costs, finish_s, peak_mb - before_mb, *judged(result, film.truth(frames)))
+    estimates, loops = (result.odometry, result.trajectory), (result.attempts, result.keyframes)
+    drift = compare_drift(*estimates, film.truth(frames), *loops, Config().evaluation)
+    kept = [loop.is_false for loop in drift.loops if loop.is_false is not None]
+    return Run(
+        frame_s,
+        cpu_s,
+        memory_mb,
+        np.cumsum(keyframes),
+        np.array(TimedIndex.seconds),
+        finish_s,
+        peak_mb - before_mb,
+        untracked=len(result.untracked_s),
+        loops=len(kept),
+        false_loops=sum(kept),
+        ate_m=(drift.before.ate_rmse_m, drift.after.ate_rmse_m),
+    )
 
 
 def memory_in_use_mb() -> float:
     """Return the memory that this process holds now."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / MB
-
-
-def judged(result: SlamResult, truth: Trajectory) -> tuple[int, int, int, tuple[float, float]]:
-    """Return how many frames got lost, how many loops hold and are false, and both errors."""
-    config = EvaluationConfig()
-    loops = judge_loops(result.attempts, result.keyframes, truth, config)
-    kept = sum(each.rejection is None for each in result.attempts)
-    false = sum(each.is_false is True for each in loops)
-    estimates = (result.odometry, result.trajectory)
-    before_m, after_m = (trajectory_error(each, truth, config).ate_rmse_m for each in estimates)
-    return len(result.untracked_s), kept, false, (before_m, after_m)
 
 
 def table(runs: list[Run]) -> str:
@@ -210,7 +193,7 @@ def table(runs: list[Run]) -> str:
         ("keyframes", lambda run: str(run.keyframes[-1])),
         ("frames not tracked", lambda run: str(run.untracked)),
         ("ms per frame around frame 1,000", lambda run: ms(run.frame_s[EARLY])),
-        ("ms per frame at the end", lambda run: ms(run.frame_s[run.late])),
+        ("ms per frame at the end", lambda run: ms(run.frame_s[LATE])),
         ("their ratio", lambda run: f"{run.growth(run.frame_s, np.median):.2f}"),
         ("the ratio of the means", lambda run: f"{run.growth(run.frame_s, np.mean):.2f}"),
         ("and of the work of all threads", lambda run: f"{run.growth(run.cpu_s, np.mean):.2f}"),
@@ -229,12 +212,12 @@ def table(runs: list[Run]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(runs: list[Run], path: Path) -> None:
+def draw(runs: list[Run], folder: Path) -> None:
     """Draw the three curves of every run, the shorter ones on top of the longer."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 8.0), layout="constrained", facecolor="white")
+    with canvas(8.0, 7.0) as figure:
         time_axes, memory_axes, query_axes = figure.subplots(3, 1)
-        for run, colour in zip(sorted(runs, key=lambda run: -len(run.frame_s)), cycle(COLOURS)):
+        longest_first = sorted(runs, key=lambda run: -len(run.frame_s))
+        for run, (colour, _) in zip(longest_first, line_styles(), strict=False):
             numbers, label = np.arange(len(run.frame_s)), f"{len(run.frame_s):,} frames"
             at, middle, slowest = _by_lap(run.frame_s)
             time_axes.plot(at, 1e3 * middle, color=colour, label=f"{label}, median of a lap")
@@ -246,9 +229,8 @@ def draw(runs: list[Run], path: Path) -> None:
         memory_axes.set(xlabel="frame", ylabel="MB in use per keyframe", ylim=(0, None))
         query_axes.set(xlabel="keyframe", ylabel="ms per loop query", ylim=(0, None))
         time_axes.legend(ncols=2)
-        for kind in ("svg", "png"):
-            date = {"Date": None} if kind == "svg" else None
-            figure.savefig(path.with_suffix(f".{kind}"), dpi=150, metadata=date)
+    (folder / "long_run.svg").write_bytes(svg(figure))
+    (folder / "long_run.png").write_bytes(png(figure))
 
 
 def _by_lap(values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -273,12 +255,11 @@ def main(arguments: list[str] | None = None) -> int:
         # A process of its own: what an earlier run gave back to Python would look like no memory.
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
             runs.append(process.submit(measure, frames, parsed.recognizer).result())
-    text = (
-        f"{table(runs)}\nRecognizer {parsed.recognizer}; {CAMERA.width}x{CAMERA.height} pixels.\n"
-    )
+    caption = f"Recognizer {parsed.recognizer}; {CAMERA.width}x{CAMERA.height} pixels."
+    text = f"{table(runs)}\n{caption}\n"
     print(text, end="")
     (parsed.out / "long_run.md").write_text(text)
-    draw(runs, parsed.out / "long_run.svg")
+    draw(runs, parsed.out)
     return 0
 
 

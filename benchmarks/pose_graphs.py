@@ -22,11 +22,11 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.config import GraphConfig
+from slam import Config, SlamError
 from slam.pose_graph.batch import optimize, pose_at
 from slam.pose_graph.g2o import read_g2o
 from slam.pose_graph.robust import contested_motions, doubts, solve_robustly
-from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, SlamError
+from slam.types import MIN_TRUSTED_WEIGHT, FloatArray
 
 # Half chi-square of the best optima known.
 REFERENCES = {
@@ -39,7 +39,7 @@ REFERENCES = {
 }
 STRESSED = ("CSAIL", "smallGrid3D", "kitti_05")
 KINDS = ("scattered", "aliased")
-INLIER_PROBABILITY = GraphConfig().inlier_probability
+INLIER_PROBABILITY = Config().graph.inlier_probability
 
 
 @dataclass(frozen=True)

@@ -9,31 +9,19 @@ import argparse
 import sys
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from placerec.drawing import AFTER, BEFORE, TRUTH, canvas, png, svg
+from slam import SlamError, read_tum
 from slam.config import load_config
 from slam.evaluation.drift import TrajectoryError, trajectory_error
-from slam.evaluation.trajectory import associate, read_tum
+from slam.evaluation.trajectory import associate
 from slam.geometry import se3
 from slam.output.ledger import read_ledger
-from slam.types import FloatArray, SlamError
+from slam.types import FloatArray
 
-ESTIMATES = {"odometry": "#c4600a", "corrected": "#0a64b4"}
-TRUTH = "#9aa0a8"
-STYLE = {
-    "svg.hashsalt": "loopclose",  # the same run gives the same bytes
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e6e9",
-    "legend.frameon": False,
-    "legend.handlelength": 1.4,
-    "legend.columnspacing": 1.2,
-}
+ESTIMATES = {"odometry": BEFORE, "corrected": AFTER}
 
 
 def draw(run: Path, picture: Path) -> None:
@@ -52,17 +40,18 @@ def draw(run: Path, picture: Path) -> None:
     ]
     _, in_truth = associate(before, truth, evaluation.max_time_difference_s)
     loops_s = [loop.query_timestamp_s for loop in read_ledger(run / "loops.jsonl") if loop.accepted]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 3.3), layout="constrained", facecolor="white")
+    with canvas(3.5, 9.0) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))
         _draw_paths(left, truth.T_world_cam[in_truth, :3, 3], paths_m)
         _draw_errors(right, errors, np.unique(loops_s))
-        figure.savefig(picture, metadata={"Date": None} if picture.suffix == ".svg" else None)
+    picture.write_bytes(svg(figure) if picture.suffix == ".svg" else png(figure))
 
 
 def _draw_paths(axes: Axes, truth_m: FloatArray, paths_m: list[FloatArray]) -> None:
     across, up = np.argsort(-np.ptp(truth_m, axis=0))[:2]
-    axes.plot(truth_m[:, across], truth_m[:, up], color=TRUTH, lw=3.5, label="ground truth")
+    axes.plot(
+        truth_m[:, across], truth_m[:, up], color=TRUTH, alpha=0.5, lw=3.5, label="ground truth"
+    )
     for (label, colour), path_m in zip(ESTIMATES.items(), paths_m, strict=True):
         axes.plot(path_m[:, across], path_m[:, up], color=colour, lw=1.1, label=label)
     axes.set_aspect("equal", adjustable="datalim")
@@ -76,10 +65,9 @@ def _draw_errors(axes: Axes, errors: list[TrajectoryError], loops_s: FloatArray)
         times_s = error.timestamps_s - start_s
         label = f"{label}, ATE {100 * error.ate_rmse_m:.1f} cm"
         axes.plot(times_s, 100 * error.position_errors_m, color=colour, lw=1.3, label=label)
-    colour = ESTIMATES["corrected"]
-    axes.plot(loops_s - start_s, 0 * loops_s, "^", color=colour, clip_on=False, label="loop closed")
+    axes.plot(loops_s - start_s, 0 * loops_s, "^", color=AFTER, clip_on=False, label="loop closed")
     axes.set(xlabel="time (s)", ylabel="position error (cm)")
-    axes.set_ylim(0.0, 1.25 * axes.get_ylim()[1])  # room for the legend
+    axes.set_ylim(0.0, 1.25 * axes.get_ylim()[1])  # space for the legend
     axes.legend(loc="upper right")
 
 

@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -37,6 +36,19 @@ RENDER = (
 )
 
 
+ACCURACY = {
+    "frames tracked": "{frames_tracked} of {frames}",
+    "ATE, m: odometry → corrected": "{ate_before_m} → {ate_after_m}",
+    "RPE, m": "{rpe_translation_before_m} → {rpe_translation_after_m}",
+    "RPE, degrees": "{rpe_rotation_before_deg} → {rpe_rotation_after_deg}",
+    "RPE interval, s": "{rpe_interval_s}",
+    "loops tried": "{loops_tried}",
+    "loops accepted": "{loops_accepted}",
+    "loops outvoted by the graph": "{loops_outvoted}",
+    "false loops among the accepted": "{loops_false} of {loops_judged} judged",
+}
+
+
 class ProcessError(Exception):
     """A process ended with an error; the message is the last line it wrote."""
 
@@ -50,16 +62,6 @@ class Run:
     peak_memory_mb: float
     summary: dict[str, Any]
     outputs: tuple[bytes, ...]
-
-    @property
-    def frames(self) -> int:
-        """Frames read, tracked or not."""
-        return int(self.summary["frames_tracked"] + self.summary["frames_untracked"])
-
-    @property
-    def unstaged_s(self) -> float:
-        """Seconds before the first frame and after the last: start-up, report, map."""
-        return float(self.seconds - self.summary["elapsed_s"])
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def measure(name: str, sequences: list[str], recognizer: str, runs: int) -> Meas
         rendering_s = None
         if DEMO in sequences:
             rendering_s, *_ = run_python(["-c", RENDER, str(folder / "sequence")], log)
-        command = ["-m", "slam.cli", *sequences, "--out", str(folder), "--recognizer", recognizer]
+        command = ["-m", "slam", *sequences, "--out", str(folder), "--recognizer", recognizer]
         done = []
         for _ in range(runs):
             cost = run_python(command, log)
@@ -125,54 +127,41 @@ def find(name: str) -> str | None:
 def table(measured: list[Measured]) -> str:
     """Return the Markdown table: accuracy from the first run, costs as the median of all."""
     stages = dict.fromkeys(s for each in measured for s in each.runs[0].summary["stage_seconds"])
-    rows = [
-        ("frames tracked", _summary("{frames_tracked} of {frames}")),
-        ("ATE, m: odometry → corrected", _summary("{ate_before_m} → {ate_after_m}")),
-        ("RPE, m", _summary("{rpe_translation_before_m} → {rpe_translation_after_m}")),
-        ("RPE, degrees", _summary("{rpe_rotation_before_deg} → {rpe_rotation_after_deg}")),
-        ("RPE interval, s", _summary("{rpe_interval_s}")),
-        ("loops tried", _summary("{loops_tried}")),
-        ("loops accepted", _summary("{loops_accepted}")),
-        ("loops outvoted by the graph", _summary("{loops_outvoted}")),
-        ("false loops among the accepted", _summary("{loops_false} of {loops_judged} judged")),
-        ("frames/s, whole process", _median(lambda run: run.frames / run.seconds)),
-        *((f"ms per frame: {stage}", _median(_stage_ms(stage))) for stage in stages),
-        ("CPU seconds, whole process", _median(lambda run: run.cpu_s)),
-        ("seconds for start-up, report, map", _median(lambda run: run.unstaged_s)),
-        ("seconds for rendering, apart", lambda measured: _text(measured.rendering_s)),
-        ("peak memory, MB", _median(lambda run: run.peak_memory_mb)),
-        (f"runs with the same {' and '.join(SAME_EVERY_RUN)}", _reproducibility),
-    ]
+    columns = [_column(each, list(stages)) for each in measured]
     lines = ["|  | " + " | ".join(each.name for each in measured) + " |"]
     lines += ["|---" * (len(measured) + 1) + "|"]
-    lines += [f"| {title} | " + " | ".join(map(cell, measured)) + " |" for title, cell in rows]
+    lines += [
+        f"| {row} | " + " | ".join(column[row] for column in columns) + " |" for row in columns[0]
+    ]
     return "\n".join(lines)
 
 
-def _summary(template: str) -> Callable[[Measured], str]:
-    def cell(measured: Measured) -> str:
-        first = measured.runs[0]
-        values = {**first.summary, "frames": first.frames}
-        return template.format_map({name: _text(value) for name, value in values.items()})
+def _column(measured: Measured, stages: list[str]) -> dict[str, str]:
+    runs = measured.runs
+    first = runs[0].summary
+    frames = first["frames_tracked"] + first["frames_untracked"]
+    words = {name: _text(value) for name, value in {**first, "frames": frames}.items()}
+    stages_ms = [run.summary["stage_ms_per_frame"] for run in runs]
+    same = sum(run.outputs == runs[0].outputs for run in runs)
+    return {
+        **{title: template.format_map(words) for title, template in ACCURACY.items()},
+        "frames/s, whole process": _median([frames / run.seconds for run in runs]),
+        **{
+            f"ms per frame: {stage}": _median([each.get(stage, 0.0) for each in stages_ms])
+            for stage in stages
+        },
+        "CPU seconds, whole process": _median([run.cpu_s for run in runs]),
+        "seconds for start-up, report, map": _median(
+            [run.seconds - run.summary["elapsed_s"] for run in runs]
+        ),
+        "seconds for rendering, apart": _text(measured.rendering_s),
+        "peak memory, MB": _median([run.peak_memory_mb for run in runs]),
+        f"runs with the same {' and '.join(SAME_EVERY_RUN)}": f"{same} of {len(runs)}",
+    }
 
-    return cell
 
-
-def _median(figure: Callable[[Run], float]) -> Callable[[Measured], str]:
-    def cell(measured: Measured) -> str:
-        values = [figure(run) for run in measured.runs]
-        return f"{statistics.median(values):.1f} ({min(values):.1f}-{max(values):.1f})"
-
-    return cell
-
-
-def _stage_ms(stage: str) -> Callable[[Run], float]:
-    return lambda run: float(run.summary["stage_ms_per_frame"].get(stage, 0.0))
-
-
-def _reproducibility(measured: Measured) -> str:
-    same = sum(run.outputs == measured.runs[0].outputs for run in measured.runs)
-    return f"{same} of {len(measured.runs)}"
+def _median(values: list[float]) -> str:
+    return f"{statistics.median(values):.1f} ({min(values):.1f}-{max(values):.1f})"
 
 
 def _text(value: object) -> str:

@@ -14,36 +14,37 @@ import gc
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from sequences import find, machine
 
 from placerec.recognizer import PlaceRecognizer, load
+from slam import Config, Slam, TrackedFrame, open_sequence
 from slam.cli import DEFAULT_RECOGNIZER
-from slam.config import InputConfig
-from slam.datasets import Sequence, open_sequence
+from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd
 from slam.mapping.local_map import LocalMap
-from slam.system import Slam
-from slam.tracking import odometry
-from slam.tracking.odometry import RgbdOdometry, TrackedFrame
+from slam.tracking import tracked_frame
+from slam.tracking.odometry import RgbdOdometry
 
 # What a call is made of, and where; a part within a part counts as the outer one.
 PARTS: dict[str, tuple[Any, str]] = {
     "features": (FeatureExtractor, "extract"),
     "adjustment": (RgbdOdometry, "settle"),
     "placing": (RgbdOdometry, "_follow"),
-    "recovery": (RgbdOdometry, "_recover"),
+    "relocalization": (RgbdOdometry, "_relocalize"),
     "local map": (LocalMap, "insert"),
     "links": (RgbdOdometry, "_links"),
-    "preview": (odometry, "preview"),
+    "preview": (tracked_frame, "preview"),
     "waiting for loops": (BackEnd, "insert"),
 }
 LONGEST = 5
@@ -59,18 +60,14 @@ class Call:
         is_keyframe: whether the frame became one.
         ms: how long it took.
         cpu_ms: how long the thread computed; the rest is waiting for others.
-        parts_ms: how long its parts took, rubbish collection ("gc", wherever it falls) included.
+        parts_ms: how long its parts took, garbage collection ("gc", wherever it falls) included.
     """
 
     frame: int
     is_keyframe: bool = False
     ms: float = 0.0
     cpu_ms: float = 0.0
-    parts_ms: dict[str, float] = field(default_factory=dict)
-
-    def add(self, part: str, ms: float) -> None:
-        """Count some milliseconds towards a part."""
-        self.parts_ms[part] = self.parts_ms.get(part, 0.0) + ms
+    parts_ms: Counter[str] = field(default_factory=Counter)
 
 
 class Stopwatch:
@@ -85,16 +82,15 @@ class Stopwatch:
     @contextmanager
     def attached(self) -> Iterator[None]:
         """Time the parts until the block ends."""
-        originals = {part: getattr(*place) for part, place in PARTS.items()}
-        for part, (owner, name) in PARTS.items():
-            setattr(owner, name, self._timed(part, originals[part]))
         gc.callbacks.append(self._collected)
         try:
-            yield
+            with ExitStack() as stack:
+                for part, (owner, name) in PARTS.items():
+                    timed = self._timed(part, getattr(owner, name))
+                    stack.enter_context(patch.object(owner, name, timed))
+                yield
         finally:
             gc.callbacks.remove(self._collected)
-            for part, (owner, name) in PARTS.items():
-                setattr(owner, name, originals[part])
 
     def _timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
@@ -106,7 +102,7 @@ class Stopwatch:
                 return function(*arguments, **options)
             finally:
                 self._is_inside = False
-                self.call.add(part, 1e3 * (time.perf_counter() - start_s))
+                self.call.parts_ms[part] += 1e3 * (time.perf_counter() - start_s)
 
         return timed
 
@@ -114,7 +110,7 @@ class Stopwatch:
         if phase == "start":
             self._gc_start_s = time.perf_counter()
         else:
-            self.call.add("gc", 1e3 * (time.perf_counter() - self._gc_start_s))
+            self.call.parts_ms["gc"] += 1e3 * (time.perf_counter() - self._gc_start_s)
 
 
 def calls_of_a_run(sequence: Sequence, recognizer: PlaceRecognizer) -> list[Call]:
@@ -175,7 +171,7 @@ def longest(calls: list[Call], title: str) -> str:
         "|---" * (3 + len(parts)) + "|",
     ]
     for call in chosen:
-        spent = " | ".join(f"{call.parts_ms.get(part, 0.0):.1f}" for part in parts)
+        spent = " | ".join(f"{call.parts_ms[part]:.1f}" for part in parts)
         kind = " (keyframe)" if call.is_keyframe else ""
         lines.append(f"| {call.frame}{kind} | {call.ms:.1f} | {call.cpu_ms:.1f} | {spent} |")
     return "\n".join(lines)
@@ -196,13 +192,15 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"not on this machine: {parsed.sequence}", file=sys.stderr)
         return 1
     facts, recognizer = machine(), load(parsed.recognizer)
-    sequence = open_sequence(Path(path), InputConfig())
+    sequence = open_sequence(Path(path), Config().input)
     runs = [calls_of_a_run(sequence, recognizer) for _ in range(parsed.runs)]
-    tables = [distribution(runs)]
     together = [call for run in runs for call in run]
-    tables.append(longest(together, "longest calls: frame"))
     ordinary = [call for call in together if not call.is_keyframe]
-    tables.append(longest(ordinary, "longest without a keyframe: frame"))
+    tables = [
+        distribution(runs),
+        longest(together, "longest calls: frame"),
+        longest(ordinary, "longest without a keyframe: frame"),
+    ]
     caption = f"{Path(path).name}, recognizer {parsed.recognizer}; worst of {parsed.runs}; {facts}."
     text = "\n\n".join([*tables, caption]) + "\n"
     print(text, end="")

@@ -63,7 +63,7 @@ def main() -> int:
         folder = options.work / f"{options.loss}-{name}"
         if not (folder / WEIGHTS_NAME).exists():
             out = ("--out", folder, "--weights", start, "--loss", options.loss)
-            _run("-m", "placerec.cli", "train", *how, *out, *NETWORK)
+            _run("-m", "placerec", "train", *how, *out, *NETWORK)
         return folder / WEIGHTS_NAME
 
     small = train("small", options.mobilenet, few, *LEARNING, *SMALL, "--seed", "0")
@@ -74,7 +74,7 @@ def main() -> int:
     if options.ship:
         weights = Path(shutil.copy(weights, SHIPPED[options.loss]))
     validation = f"{options.ie_tower}:validation"
-    _run("-m", "placerec.cli", "calibrate", validation, "--recognizer", weights)
+    _run("-m", "placerec", "calibrate", validation, "--recognizer", weights)
     return 0
 
 

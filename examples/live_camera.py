@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run live: take frames from a camera as they come, and tell what happens as it happens.
+"""Run live: track frames as a camera delivers them, and print what happens.
 
-    python examples/live_camera.py                       a made-up room, filmed while you watch
+    python examples/live_camera.py                       a rendered room, filmed while you watch
     python examples/live_camera.py RECORDING             a recording, as fast as it was filmed
     python examples/live_camera.py --realsense           an Intel RealSense (pyrealsense2 from pip)
     python examples/live_camera.py --realsense --record FOLDER     keep it; run_slam reads FOLDER
 
-`Slam.process` asks for one `Frame` after the other and nothing else, so that whatever yields frames
-will do. A Kinect or Xtion through OpenCV, where that was built with OpenNI 2, would be
+`Slam.process` takes one `Frame` after the other, so that anything that yields frames can stand in
+for the camera. A Kinect or Xtion through OpenCV, where that was built with OpenNI 2, would be
 
     device = cv2.VideoCapture(cv2.CAP_OPENNI2)
     device.set(cv2.CAP_PROP_OPENNI_REGISTRATION, 1)  # depth as the colour camera sees it
@@ -20,7 +20,9 @@ will do. A Kinect or Xtion through OpenCV, where that was built with OpenNI 2, w
 import argparse
 import gc
 import json
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -28,24 +30,29 @@ from typing import Protocol
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from placerec.errors import deferred_interrupts
-from placerec.recognizer import load
-from slam.config import Config, InputConfig
-from slam.datasets import open_sequence, resolve
-from slam.demo.drive import LAP_S, drive
-from slam.demo.room import build_room, render
-from slam.output.run_folder import make_run_folder, write_run
-from slam.result import SlamResult
-from slam.system import Slam
-from slam.types import Camera, FloatArray, Frame, Rejection, SlamError, final_rejection
+from placerec import load
+from slam import (
+    Camera,
+    Config,
+    Frame,
+    Rejection,
+    Slam,
+    SlamError,
+    SlamResult,
+    open_sequence,
+    write_run,
+)
+from slam.datasets import resolve
+from slam.demo import LAP_S, build_room, drive, render
 
 ROOM_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
 ROOM_FRAMES_PER_S = 15.0
 
 
 class Clock(Protocol):
-    """What the module `time` has of a clock; the tests bring one that takes no time."""
+    """The part of the module `time` that is used here; the tests bring one that takes no time."""
 
     def monotonic(self) -> float:
         """Return the time, seconds."""
@@ -55,11 +62,12 @@ class Clock(Protocol):
 
 
 def film(
-    times_s: FloatArray, frame: Callable[[int], Frame], clock: Clock = time
+    times_s: NDArray[np.float64], frame: Callable[[int], Frame], clock: Clock = time
 ) -> Iterator[Frame]:
-    """Yield frames as a camera would, which waits for nobody: each in its time, or never.
+    """Yield frames as a live camera would, which does not wait for the program.
 
-    Whoever comes late gets the newest frame, and the others are lost.
+    A frame comes at its own time. A program that is late gets the newest one; those before it are
+    dropped.
     """
     start_s = clock.monotonic() - times_s[0]
     i = 0
@@ -72,7 +80,7 @@ def film(
 
 
 def filmed_room(seconds: float, clock: Clock = time) -> tuple[Camera, Iterator[Frame]]:
-    """Return a camera that is carried round a rendered room, and what it sees."""
+    """Return a camera that is carried round a rendered room, and its frames."""
     room = build_room(seed=0)
     times_s = np.arange(max(1, round(seconds * ROOM_FRAMES_PER_S))) / ROOM_FRAMES_PER_S
     poses = drive(times_s, seed=0)
@@ -82,7 +90,7 @@ def filmed_room(seconds: float, clock: Clock = time) -> tuple[Camera, Iterator[F
 
 def replayed(name: str, clock: Clock = time) -> tuple[Camera, Iterator[Frame]]:
     """Return the camera of a recording, and its frames at the speed they were filmed."""
-    sequence = open_sequence(resolve(name), InputConfig())
+    sequence = open_sequence(resolve(name), Config().input)
     return sequence.camera, film(sequence.timestamps_s, sequence.frame, clock)
 
 
@@ -120,7 +128,7 @@ def realsense() -> tuple[Camera, Iterator[Frame]]:
 def recorded(frames: Iterable[Frame], camera: Camera, folder: Path) -> Iterator[Frame]:
     """Pass the frames on, and write each into a folder that `open_sequence` reads."""
     if folder.exists():
-        raise SlamError(f"there is something already; choose another folder: {folder}")
+        raise SlamError(f"the folder exists already; choose another one: {folder}")
     for name in ("color", "depth"):
         (folder / name).mkdir(parents=True)
     lens = {"ppx": camera.cx, "ppy": camera.cy, "fx": camera.fx, "fy": camera.fy}
@@ -139,13 +147,15 @@ def recorded(frames: Iterable[Frame], camera: Camera, folder: Path) -> Iterator[
 
 
 def run(camera: Camera, frames: Iterable[Frame]) -> SlamResult:
-    """Track frame by frame until there are no more, or Ctrl-C, and print what becomes of them."""
+    """Track frame by frame until there are no more, or Ctrl-C, and print what becomes of each."""
     recognizer = load("learned")
     gc.collect()
-    gc.freeze()  # no search for garbage in all that is loaded by now while the camera runs
+    gc.freeze()  # garbage collection then skips what is loaded by now, and frames are not held up
     slam = Slam(camera, recognizer)
     is_lost = False
-    with deferred_interrupts() as interrupted:  # Ctrl-C waits for the frame to be finished
+    interrupted = threading.Event()  # by Ctrl-C, which waits for the frame to be finished
+    usual = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
+    try:
         for frame in frames:
             placed, when = slam.process(frame), f"{frame.timestamp_s:10.3f} s"
             if isinstance(placed, Rejection):
@@ -159,8 +169,10 @@ def run(camera: Camera, frames: Iterable[Frame]) -> SlamResult:
             is_lost = isinstance(placed, Rejection)
             if interrupted.is_set():
                 break
+    finally:
+        signal.signal(signal.SIGINT, usual)
     result = slam.finish()
-    loops = [each for each in result.attempts if final_rejection(each) is None]
+    loops = [each for each in result.attempts if each.rejection is None]
     closed = ", ".join(f"{loop.query_id} with {loop.match_id}" for loop in loops)
     print(f"{len(result.trajectory)} frames tracked, {len(result.keyframes)} keyframes")
     print(f"{len(loops)} loops closed{': ' if loops else ''}{closed}")
@@ -170,14 +182,14 @@ def run(camera: Camera, frames: Iterable[Frame]) -> SlamResult:
 
 def main(arguments: list[str] | None = None, clock: Clock = time) -> None:
     """Film, track, and leave the run in a folder, report.html included."""
-    parser = argparse.ArgumentParser(description="Run live on a camera, or on what acts like one.")
-    parser.add_argument("recording", nargs="?", help="what to play, as run_slam takes it")
+    parser = argparse.ArgumentParser(description="Run live, as frames come.")
+    parser.add_argument("recording", nargs="?", help="recording to play, named as for run_slam")
     parser.add_argument("--realsense", action="store_true", help="the camera that is plugged in")
     parser.add_argument("--record", type=Path, metavar="FOLDER", help="keep the frames there")
     parser.add_argument("--seconds", type=float, default=2.2 * LAP_S, help="of the rendered room")
     parser.add_argument("--out", type=Path, default=Path("runs/live"), metavar="FOLDER")
     told = parser.parse_args(arguments)
-    make_run_folder(told.out)
+    told.out.mkdir(parents=True, exist_ok=True)
     if told.realsense:
         camera, frames = realsense()
     elif told.recording:

@@ -12,7 +12,7 @@ several processes share the trainings and no page is written; write it afterward
 import argparse
 from pathlib import Path
 
-from benchmarks.place_recognition.trainings import Trainer, planned_trainings, share
+from benchmarks.place_recognition.trainings import planned_trainings, train
 from placerec.recognizers.learned import DEFAULT_WEIGHTS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -21,31 +21,21 @@ DOCS = Path(__file__).parents[2] / "docs"
 def main() -> None:
     """Do what the command line asks for."""
     arguments = _arguments()
-    planned = planned_trainings()
-    if arguments.part:
-        planned = share(planned, *arguments.part)
+    part, parts = arguments.part or (1, 1)
+    planned = planned_trainings()[part - 1 :: parts]
     if arguments.list:
         for each in planned:
             done = "done" if each.weights(arguments.runs).exists() else "to do"
             print(f"{done:5}  {each.folder(arguments.runs).name}")
         return
+    data, weights, runs = arguments.data, arguments.trunk_weights, arguments.runs
     if not arguments.only_page:
-        trainer = Trainer(arguments.data, arguments.scenes, arguments.trunk_weights, arguments.runs)
-        for each in planned:
-            print(each.name, flush=True)
-            trainer.train(each)
+        train(planned, data, arguments.scenes, weights, runs)
     if not arguments.part:
         # Loaded here: figures need libraries that a training does not.
         from benchmarks.place_recognition.page import write_page
 
-        write_page(
-            data=arguments.data,
-            validation=arguments.validation,
-            trunk_weights=arguments.trunk_weights,
-            runs=arguments.runs,
-            default=arguments.default,
-            docs=DOCS,
-        )
+        write_page(data, arguments.validation, weights, runs, arguments.default, DOCS)
 
 
 def _arguments() -> argparse.Namespace:

@@ -4,6 +4,7 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,18 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.place_recognition.trainings import PUBLISHED_WEIGHTS, TRUNK_PLANS
+from benchmarks.place_recognition.trainings import TRUNK_PLANS
 from placerec.datasets import PlaceDataset
+from placerec.evaluation.embeddings import embed_dataset
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
+from placerec.recognizer import PlaceRecognizer
 from placerec.recognizers.gradients import GradientRecognizer
 from placerec.recognizers.learned import LearnedRecognizer
 
 Embeddings = NDArray[np.float32]
 
+GRADIENTS = "gradients"
 BLOCKS = {
     "mobilenet_v2": ("block3", "block6", "block9", "block12", "block13", "block15", "block16"),
     "squeezenet": ("fire3", "fire5", "fire7", "fire8", "fire9"),
@@ -31,6 +35,7 @@ BLOCKS = {
 OWN_SIZES_PX = {"mobilenet_v2": ((160, 120), (192, 144)), "squeezenet": ((160, 120), (224, 168))}
 """Sizes to look at them at, where there are others than that of the training."""
 CELLS = (3, 4)
+FLATTENED, POOLED = "flattened, mean removed", f"pooled to {CELLS[0]}x{CELLS[1]} cells"
 IMAGES_PER_PASS = 16
 
 
@@ -49,84 +54,66 @@ class Contender:
     embed: Callable[[PlaceDataset], Embeddings]
 
 
-def learned(name: str, weights: Path) -> Contender:
-    """Return a trained network, read when it is needed."""
-
-    def embed(dataset: PlaceDataset) -> Embeddings:
-        recognizer = LearnedRecognizer(weights)
-        return np.concatenate(
-            [recognizer.embed_many(images) for images in _passes(dataset)], dtype=np.float32
-        )
-
-    return Contender(name, hashlib.sha256(weights.read_bytes()).hexdigest(), embed)
-
-
 def gradients() -> Contender:
     """Return the built-in recognizer without weights."""
+    return Contender(GRADIENTS, "1", partial(_embed, GradientRecognizer))
 
-    def embed(dataset: PlaceDataset) -> Embeddings:
-        recognizer = GradientRecognizer()
-        return np.stack([recognizer.embed(image) for image in dataset])
 
-    return Contender("gradients", "1", embed)
+def learned(name: str, weights: Path) -> Contender:
+    """Return a trained network, read when it is needed."""
+    fingerprint = hashlib.sha256(weights.read_bytes()).hexdigest()
+    return Contender(name, fingerprint, partial(_embed, partial(LearnedRecognizer, weights)))
+
+
+def _embed(make: Callable[[], PlaceRecognizer], dataset: PlaceDataset) -> Embeddings:
+    return embed_dataset(make(), dataset).embeddings
 
 
 def untrained_layers(trunk: str, trunk_weights: Path) -> list[Contender]:
     """Return the layers of a trunk as they are before any training, in two ways each."""
-    own_size = TRUNK_PLANS[trunk].size or (0, 0)
-    sizes = OWN_SIZES_PX.get(trunk, (own_size,))
+    sizes = OWN_SIZES_PX.get(trunk, (TRUNK_PLANS[trunk].size or (0, 0),))
     return [layer for size in sizes for layer in _layers(trunk, size, trunk_weights)]
 
 
 def _layers(trunk: str, size: tuple[int, int], trunk_weights: Path) -> Iterator[Contender]:
-    through: dict[str, dict[str, Embeddings]] = {}
+    kept: dict[str, dict[str, Embeddings]] = {}
 
-    def find(dataset: PlaceDataset) -> dict[str, Embeddings]:
+    def embed(key: str, dataset: PlaceDataset) -> Embeddings:
         # One pass for all layers; only the last dataset's are kept, for they take much memory.
-        if dataset.name not in through:
-            through.clear()
-            through[dataset.name] = _embed_layers(trunk, size, trunk_weights, dataset)
-        return through[dataset.name]
+        if dataset.name not in kept:
+            kept.clear()
+            kept[dataset.name] = _embed_layers(trunk, size, trunk_weights, dataset)
+        return kept[dataset.name][key]
 
     for block in BLOCKS[trunk]:
-        for way in ("flattened, mean removed", f"pooled to {CELLS[0]}x{CELLS[1]} cells"):
+        for way in (FLATTENED, POOLED):
             key = f"{block} at {size[0]}x{size[1]}, {way}"
-            yield Contender(f"{trunk} {key}", key, _Layer(find, key))
-
-
-@dataclass(frozen=True)
-class _Layer:
-    find: Callable[[PlaceDataset], dict[str, Embeddings]]
-    key: str
-
-    def __call__(self, dataset: PlaceDataset) -> Embeddings:
-        return self.find(dataset)[self.key]
+            yield Contender(f"{trunk} {key}", key, partial(embed, key))
 
 
 def _embed_layers(
     trunk: str, size: tuple[int, int], trunk_weights: Path, dataset: PlaceDataset
 ) -> dict[str, Embeddings]:
     network = PlaceNetwork(TRUNKS[trunk], 1, size_px=size)
-    if trunk in PUBLISHED_WEIGHTS:
-        load_pretrained(network, trunk_weights / PUBLISHED_WEIGHTS[trunk])
+    weights = TRUNK_PLANS[trunk].weights
+    if weights is not None:
+        load_pretrained(network, trunk_weights / weights)
     network.eval()
     flat: dict[str, list[Tensor]] = {block: [] for block in BLOCKS[trunk]}
     cells: dict[str, list[Tensor]] = {block: [] for block in BLOCKS[trunk]}
+    found: dict[str, Embeddings] = {}
     with torch.inference_mode():
-        for images in _passes(dataset):
+        for start in range(0, len(dataset), IMAGES_PER_PASS):
+            end = min(start + IMAGES_PER_PASS, len(dataset))
+            images = [dataset[i] for i in range(start, end)]
             for block, maps in _maps(network, network.prepare(images)):
                 flat[block].append(maps.flatten(start_dim=1))
                 pooled = functional.adaptive_avg_pool2d(maps, CELLS)
                 cells[block].append(pooled.flatten(start_dim=1))
-        found: dict[str, Embeddings] = {}
         for block in BLOCKS[trunk]:
-            values = torch.cat(flat.pop(block))
-            centred = functional.normalize(values - values.mean(dim=0))
-            at = f"{block} at {size[0]}x{size[1]}"
-            found[f"{at}, flattened, mean removed"] = centred.numpy()
-            found[f"{at}, pooled to {CELLS[0]}x{CELLS[1]} cells"] = functional.normalize(
-                torch.cat(cells.pop(block))
-            ).numpy()
+            at, values = f"{block} at {size[0]}x{size[1]}", torch.cat(flat.pop(block))
+            found[f"{at}, {FLATTENED}"] = functional.normalize(values - values.mean(dim=0)).numpy()
+            found[f"{at}, {POOLED}"] = functional.normalize(torch.cat(cells.pop(block))).numpy()
     return found
 
 
@@ -137,8 +124,3 @@ def _maps(network: PlaceNetwork, maps: Tensor) -> Iterator[tuple[str, Tensor]]:
         maps = layer(maps)
         if count in ends:
             yield ends[count], maps
-
-
-def _passes(dataset: PlaceDataset) -> Iterator[list[NDArray[np.uint8]]]:
-    for start in range(0, len(dataset), IMAGES_PER_PASS):
-        yield [dataset[i] for i in range(start, min(start + IMAGES_PER_PASS, len(dataset)))]

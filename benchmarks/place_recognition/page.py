@@ -3,22 +3,19 @@
 
 import os
 import platform
-from collections.abc import Sequence
-from dataclasses import astuple
-from functools import partial
-from importlib.metadata import PackageNotFoundError, version
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, replace
+from importlib.metadata import version
 from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from benchmarks.place_recognition.checks import checks, checks_table
-from benchmarks.place_recognition.costs import measure_costs
-from benchmarks.place_recognition.near_misses import near_misses_table
-from benchmarks.place_recognition.perfect_judges import perfect_judges_table
-from benchmarks.place_recognition.pictures import Pictures
-from benchmarks.place_recognition.results import DEFAULT, GRADIENTS, Results, collect
-from benchmarks.place_recognition.sets import open_sets
+from benchmarks.place_recognition.contenders import GRADIENTS
+from benchmarks.place_recognition.figures import Figures
+from benchmarks.place_recognition.measured import DEFAULT, Results, collect
 from benchmarks.place_recognition.tables import (
+    checks_table,
     markdown,
     number,
     percent,
@@ -30,14 +27,19 @@ from benchmarks.place_recognition.trainings import (
     DIMENSIONS,
     LOSSES,
     MAIN_TRUNK,
-    PAPERS_START,
+    PAPERS,
     RECIPE,
     TRUNK_PLANS,
     compared_name,
-    papers_name,
     planned_trainings,
 )
+from placerec.datasets import PlaceDataset
+from placerec.evaluation.embeddings import embed_dataset
+from placerec.evaluation.measurement import Cost, measure_cost
 from placerec.files import write_atomically
+from placerec.recognizer import PlaceRecognizer
+from placerec.recognizers.gradients import GradientRecognizer
+from placerec.recognizers.learned import LearnedRecognizer
 from placerec.training.log import read_log
 from placerec.training.loop import LOG_NAME
 
@@ -45,44 +47,51 @@ TEMPLATE = Path(__file__).with_name("page.md.j2")
 LIBRARIES = ("torch", "numpy", "opencv-python-headless")
 MAIN = compared_name(MAIN_TRUNK, "multi-constraint", 0)
 FIGURES = ("average precision", "recall@1", "recall at 100 % P", "best-match area")
+TIMED_IMAGES = 50
 
 
 def write_page(
-    *, data: Path, validation: Path, trunk_weights: Path, runs: Path, default: Path, docs: Path
+    data: Path, validation: Path, trunk_weights: Path, runs: Path, default: Path, docs: Path
 ) -> None:
     """Measure what there is, and write the page and its figures.
 
     Raises:
         RecognizerError: data or weights cannot be read, or a file cannot be written.
     """
-    results = collect(open_sets(data, validation), trunk_weights, runs, default)
+    results = collect(data, validation, trunk_weights, runs, default)
     images = docs / "images" / "places"
-    # A word of Markdown is no HTML: nothing is to be escaped.
-    environment = Environment(
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    text = template.render(**_words(results, runs), **_figures(results, runs, default, images))
+    text = render({**_tables(results, runs), **_figures(results, runs, default, images)})
     write_atomically(docs / "place_recognition.md", text.encode())
     print(f"written to {docs / 'place_recognition.md'}")
 
 
-def _words(results: Results, runs: Path) -> dict[str, object]:
+def render(contents: Mapping[str, object]) -> str:
+    """Return the page: the template with its tables and figures."""
+    # Markdown is no HTML: nothing is to be escaped.
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(contents)
+
+
+def _tables(results: Results, runs: Path) -> dict[str, object]:
+    cpuinfo = Path("/proc/cpuinfo")
+    model = re.search(r"model name\s*: (.+)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    versions = [f"{name} {version(name)}" for name in LIBRARIES]
     return {
-        "sets": results.sets,
         "recipe": RECIPE,
         "losses": _losses_tables(results),
         "untrained": _untrained_table(results),
         "experiments": _experiments_table(results),
         "dimensions": _dimensions_table(results),
         "budget": _budget_table(runs),
-        "machine": f"{_processor()}, {os.cpu_count()} cores",
-        "versions": ", ".join(f"{name} {_version(name)}" for name in ("python", *LIBRARIES)),
+        "machine": f"{model[1] if model else platform.processor()}, {os.cpu_count()} cores",
+        "versions": ", ".join([f"python {platform.python_version()}", *versions]),
     }
 
 
 def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[str, object]:
-    pictures = Pictures(folder)
+    figures = Figures(folder)
     legend = {
         DEFAULT: DEFAULT,
         "multi-constraint": MAIN,
@@ -95,22 +104,16 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
         title: results.found[name] for title, name in legend.items() if name in results.found
     }
     desk = results.sets[0].datasets[0]
-    costs = measure_costs(results, runs, default, desk)
+    on_desk = {title: each.similarities[desk.name] for title, each in methods.items()}
     ways = [title for title in (DEFAULT, "multi-constraint", "triplet") if title in methods]
+    costs = _costs(results, runs, default, desk)
     return {
-        "checks": checks_table(checks(results, costs)),
-        "curves": {each.name: pictures.curves(each, methods) for each in results.sets},
-        "distances": pictures.distances(
-            desk, {title: each.similarities[desk.name] for title, each in methods.items()}
-        ),
-        "near_misses": near_misses_table(
-            desk,
-            {title: each.similarities[desk.name] for title, each in methods.items()},
-        ),
-        "perfect_judges": perfect_judges_table(desk),
-        "ways": [pictures.way(t, desk, methods[t].similarities[desk.name]) for t in ways],
-        "dimension_figure": pictures.dimensions(_dimension_series(results)),
-        "cost_figures": pictures.costs(costs),
+        "checks": checks_table(results, costs),
+        "curves": {each.name: figures.curves(each, methods) for each in results.sets},
+        "distances": figures.distances(desk, on_desk),
+        "ways": [figures.way(title, desk, on_desk[title]) for title in ways],
+        "dimension_figure": figures.dimensions(_dimension_series(results)),
+        "cost_figures": figures.costs(costs),
         "costs": markdown(
             ("", "ms per image", "ms per comparison", "values", "bytes"),
             [
@@ -121,17 +124,33 @@ def _figures(results: Results, runs: Path, default: Path, folder: Path) -> dict[
     }
 
 
+def _costs(results: Results, runs: Path, default: Path, dataset: PlaceDataset) -> dict[str, Cost]:
+    """Return what embedding takes, an image at a time as `run_slam` does it, and comparing."""
+    files = {planned.name: planned.weights(runs) for planned in planned_trainings()}
+    files[DEFAULT] = default
+    titles = {DEFAULT: DEFAULT}
+    titles |= {compared_name(trunk, "multi-constraint", 0): trunk for trunk in TRUNK_PLANS}
+    titles |= {f"dimension-{n}": f"{MAIN_TRUNK}, {n} values" for n in DIMENSIONS}
+    recognizers: dict[str, PlaceRecognizer] = {
+        title: LearnedRecognizer(files[name])
+        for name, title in titles.items()
+        if name in results.found
+    }
+    recognizers[GRADIENTS] = GradientRecognizer()
+    some = replace(dataset, paths=dataset.paths[:TIMED_IMAGES])
+    embedded = {name: embed_dataset(each, some) for name, each in recognizers.items()}
+    return {name: measure_cost(each.embeddings, each.seconds) for name, each in embedded.items()}
+
+
 def _losses_tables(results: Results) -> dict[str, str]:
     """Return multi-constraint against triplet, a table per trunk and the paper's conditions."""
-    compared = [
-        (trunk, trunk, partial(compared_name, trunk), f"{trunk}-start") for trunk in TRUNK_PLANS
-    ]
-    papers = (f"{MAIN_TRUNK}, under the paper's conditions", MAIN_TRUNK, papers_name, PAPERS_START)
+    groups = {trunk: (trunk, trunk) for trunk in TRUNK_PLANS}
+    groups[f"{MAIN_TRUNK}, under the paper's conditions"] = (PAPERS, MAIN_TRUNK)
     tables = {}
-    for title, trunk, name_of, start in (*compared, papers):
-        ours, theirs = (results.of_both(name_of, loss) for loss in LOSSES)
+    for title, (group, trunk) in groups.items():
+        ours, theirs = (results.seeds(group, loss) for loss in LOSSES)
         if ours:
-            layer = results.best_layer(trunk)
+            start, layer = f"{group}-start", results.best_layer(trunk)
             tables[title] = _losses_table(results, ours, theirs, start, layer)
     return tables
 
@@ -161,7 +180,6 @@ def _untrained_table(results: Results) -> str:
 
 
 def _experiments_table(results: Results) -> str:
-    rows = []
     titles = {
         DEFAULT: DEFAULT,
         MAIN: "the recipe, seed 0",
@@ -171,10 +189,12 @@ def _experiments_table(results: Results) -> str:
         f"{MAIN_TRUNK}-start": "no step at all",
         GRADIENTS: GRADIENTS,
     }
-    for name, title in titles.items():
-        for each in results.sets if name in results.found else ():
-            score = results.found[name].scores[each.name]
-            rows.append((title, each.name, *map(number, astuple(score))))
+    rows = [
+        (title, each.name, *map(number, results.found[name].scores[each.name]))
+        for name, title in titles.items()
+        if name in results.found
+        for each in results.sets
+    ]
     return markdown(("", "on", *FIGURES), rows, names=2)
 
 
@@ -196,15 +216,11 @@ def _dimensions_table(results: Results) -> str:
 def _dimension_series(results: Results) -> dict[str, dict[int, list[float]]]:
     names = {n: [f"dimension-{n}"] for n in DIMENSIONS}
     names[RECIPE.dimension] = results.seeds(MAIN_TRUNK, "multi-constraint")
-    series = {
-        each.name: {n: results.precisions(names[n], each.name) for n in sorted(names)}
-        for each in results.sets
-    }
-    return {
-        name: {n: values for n, values in by_dimension.items() if values}
-        for name, by_dimension in series.items()
-        if any(by_dimension.values())
-    }
+    series = {}
+    for each in results.sets:
+        values = {n: results.precisions(names[n], each.name) for n in sorted(names)}
+        series[each.name] = {n: measured for n, measured in values.items() if measured}
+    return {name: by_dimension for name, by_dimension in series.items() if by_dimension}
 
 
 def _budget_table(runs: Path) -> str:
@@ -220,23 +236,5 @@ def _budget_table(runs: Path) -> str:
     return markdown(("training", "trunk up to", "pixels", "steps", "minutes"), rows, names=3)
 
 
-def _precisions(results: Results, name: str) -> Sequence[str]:
+def _precisions(results: Results, name: str) -> list[str]:
     return [spread(results.precisions([name], each.name)) for each in results.sets]
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    models = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor()
-
-
-def _version(name: str) -> str:
-    if name == "python":
-        return platform.python_version()
-    try:
-        return version(name)
-    except PackageNotFoundError:  # another build of OpenCV
-        return "unknown"

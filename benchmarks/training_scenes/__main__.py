@@ -21,9 +21,9 @@ from tqdm import tqdm
 from benchmarks.training_scenes.folder import Image, write_folder
 from benchmarks.training_scenes.recorded import RecordedPlace
 from benchmarks.training_scenes.rendered import views
+from placerec import RecognizerError
 from placerec.datasets import open_dataset
-from placerec.errors import RecognizerError
-from slam.types import SlamError
+from slam import SlamError
 
 PATHS_OF_A_RECORDING = 4
 

@@ -13,6 +13,8 @@ from slam.geometry.se3 import to_quaternion
 from slam.types import FloatArray
 
 Image = NDArray[np.uint8]
+Views = Iterable[tuple[float, Image, FloatArray]]
+"""(seconds, (H, W, 3) image, T_world_cam) each."""
 
 
 def as_cheap_cameras_see(image: Image, rng: np.random.Generator) -> Image:
@@ -28,8 +30,8 @@ def as_cheap_cameras_see(image: Image, rng: np.random.Generator) -> Image:
     return np.asarray(np.clip(np.rint(255.0 * changed), 0, 255), np.uint8)
 
 
-def write_folder(folder: Path, views: Iterable[tuple[float, Image, FloatArray]]) -> None:
-    """Write (seconds, (H, W, 3) image, T_world_cam) views; the folder is complete or not there."""
+def write_folder(folder: Path, views: Views) -> None:
+    """Write views; the folder is complete or not there."""
     unfinished = folder.with_name(f".{folder.name}")
     shutil.rmtree(unfinished, ignore_errors=True)
     (unfinished / "rgb").mkdir(parents=True)

@@ -6,7 +6,7 @@ mesh, which is then looked at anew. What no image of the recording saw shows a p
 repeated and mirrored all around, so that nothing of the same colour tells views with gaps.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -14,11 +14,10 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial.transform import Rotation
 
-from benchmarks.training_scenes.folder import Image, as_cheap_cameras_see
+from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
 from benchmarks.training_scenes.poses import distance, nudged, path_times_s, swing
 from placerec.datasets.tum import Recording, read_recording
-from slam.config import InputConfig
-from slam.datasets import open_sequence
+from slam import Config, open_sequence
 from slam.evaluation.trajectory import nearest
 from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse
 from slam.types import FloatArray
@@ -40,8 +39,6 @@ RADIUS, APART = 0.29, 0.6
 SECONDS_APART = 4.0
 LEAST_SEEN = 0.7
 """Share of an image that shows the mesh."""
-
-Views = Iterator[tuple[float, Image, FloatArray]]
 
 
 class RecordedPlace:
@@ -129,7 +126,7 @@ def _poses(recording: Recording) -> FloatArray:
 
 
 def _fuse(folder: Path, recording: Recording, T_world_cam: FloatArray) -> o3d.geometry.TriangleMesh:
-    sequence = open_sequence(folder, InputConfig())
+    sequence = open_sequence(folder, Config().input)
     camera = sequence.camera
     size = camera.width, camera.height
     lens = np.array(camera.distortion)

@@ -5,16 +5,16 @@ In each scene there are some places, near each other, and some views of each: wh
 them gets hard negatives without looking for them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
+import cv2
 import numpy as np
 
 from benchmarks.training_scenes.desk_scene import TABLE_HEIGHT_M, cluttered_table, table_size
-from benchmarks.training_scenes.folder import Image, as_cheap_cameras_see
-from benchmarks.training_scenes.photographs import paper
+from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
 from benchmarks.training_scenes.poses import (
     PATH_S,
     PATH_VIEWS,
@@ -24,10 +24,11 @@ from benchmarks.training_scenes.poses import (
     pose,
     swing,
 )
+from slam import Camera
 from slam.demo.layout import furnished_room
-from slam.demo.panels import light
+from slam.demo.panels import Panel, light
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
-from slam.types import Camera, FloatArray
+from slam.types import FloatArray
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 192, 144, 157.0
 PLACES, VIEWS = 36, 6
@@ -37,7 +38,7 @@ APART, NEARBY = 0.8, 1.5
 """Least distance of two places, and the largest of most of them to some other."""
 SECONDS_APART = 4.0
 """Between two views, so that none is left out for following the last too soon."""
-PHOTOGRAPHED = 0.4
+PHOTOGRAPHED, SMALLEST_TEXELS = 0.4, 24
 LEAST_CONTRAST = 20.0
 WORKERS = 2
 
@@ -95,9 +96,45 @@ def build_scene(kind: str, seed: int, photographs: Sequence[Image]) -> Scene:
     table_m = table_size(rng) if kind == "desk" else None
     panels = cluttered_table(rng, *table_m) if table_m else furnished_room(rng, *ROOM_SIZE_M)
     if photographs and rng.random() < 0.7:
-        panels = paper(panels, photographs, PHOTOGRAPHED, rng)
+        panels = papered(panels, photographs, PHOTOGRAPHED, rng)
     lamps_m = LAMPS_M if table_m is None else rng.uniform((-2, -2, 1.6), (2, 2, 2.4), (3, 3))
     return Scene(assemble(light(panels, lamps_m, rng)), table_m)
+
+
+def papered(
+    panels: Sequence[Panel],
+    photographs: Sequence[Image],
+    share: float,
+    rng: np.random.Generator,
+) -> list[Panel]:
+    """Return the panels, some of them showing a piece of a photograph instead.
+
+    Args:
+        panels: not yet lit; those too small to show anything are left as they are.
+        photographs: (h, w, 3) uint8 RGB each.
+        share: of the panels that get one.
+        rng: chooses panels, photographs and pieces.
+    """
+    return [
+        replace(panel, texture=_piece(photographs[int(rng.integers(len(photographs)))], panel, rng))
+        if min(panel.texture.shape[:2]) >= SMALLEST_TEXELS and rng.random() < share
+        else panel
+        for panel in panels
+    ]
+
+
+def _piece(photograph: Image, panel: Panel, rng: np.random.Generator) -> Image:
+    """Return a piece of the panel's shape, a quarter to all of the photograph, maybe mirrored."""
+    height, width = panel.texture.shape[:2]
+    rows, columns = photograph.shape[:2]
+    scale = rng.uniform(0.25, 1.0) * min(columns / width, rows / height)
+    w, h = max(1, int(width * scale)), max(1, int(height * scale))
+    left, top = rng.integers(columns - w + 1), rng.integers(rows - h + 1)
+    piece = photograph[top : top + h, left : left + w]
+    if rng.random() < 0.5:
+        piece = piece[:, ::-1]
+    how = cv2.INTER_AREA if w > width else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=how))
 
 
 def views_of_places(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
@@ -120,10 +157,8 @@ def path(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
     yaw_rad = rng.uniform(-np.pi, np.pi) + to_and_fro(1.2)
     roll_rad = to_and_fro(0.25, 1.2)
     if scene.table_m is None:
-        x_m, y_m = (
-            rng.uniform(-0.6, 0.6) + to_and_fro(0.7),
-            rng.uniform(-0.4, 0.4) + to_and_fro(0.6),
-        )
+        x_m = rng.uniform(-0.6, 0.6) + to_and_fro(0.7)
+        y_m = rng.uniform(-0.4, 0.4) + to_and_fro(0.6)
         positions_m = np.stack([x_m, y_m, 1.3 + to_and_fro(0.3)], axis=1)
         angles = zip(positions_m, yaw_rad, -0.31 + to_and_fro(0.3), roll_rad, strict=True)
         return [pose(*at) for at in angles]
@@ -143,10 +178,8 @@ def photographed(scene: Scene, T_world_cam: FloatArray, rng: np.random.Generator
     return as_cheap_cameras_see(render(scene.room, camera, T_world_cam).rgb, rng)
 
 
-def views(
-    kind: str, seed: int, photographs: Sequence[Image], paths: bool
-) -> Iterator[tuple[float, Image, FloatArray]]:
-    """Yield the (seconds, image, T_world_cam) of a scene's views, bare walls left out."""
+def views(kind: str, seed: int, photographs: Sequence[Image], paths: bool) -> Views:
+    """Yield a scene's views, bare walls left out."""
     scene, rng = build_scene(kind, seed, photographs), np.random.default_rng([seed, 0x71E])
     poses = path(scene, rng) if paths else views_of_places(scene, rng)
     pause_s = PATH_S / PATH_VIEWS if paths else SECONDS_APART

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recognizer of one's own: a class with two members, and nothing of ours imported."""
+"""A recognizer of your own: a class with two members that imports nothing of this project."""
 
 import numpy as np
 from numpy.typing import NDArray

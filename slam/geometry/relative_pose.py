@@ -24,7 +24,7 @@ from slam.types import (
 _MIN_FOR_POSE = 6
 # What repeated views of one place disagree by however many features they share: depth distortion,
 # colour and depth taken at different instants, and, growing with the speed of the turn, the rolling
-# shutter. Measured on fr1_xyz (`python benchmarks/motion_noise.py fr1_xyz`) before its images were
+# shutter. Measured on fr1_xyz (docs/findings.md) before its images were
 # straightened, so that it is too much by now; without it the graph would trust large sets of
 # inliers blindly.
 _ROTATION_FLOOR_RAD = 0.005

@@ -96,6 +96,6 @@ def test_laps_are_run_measured_and_drawn(benchmark, tmp_path, monkeypatch):
     assert max(run.ate_m) < 0.05
     assert run.peak_memory_mb >= run.memory_mb[-1]
     assert rows(benchmark.table([run]))["frames"] == ["60"]
-    benchmark.draw([run], tmp_path / "long_run.svg")
+    benchmark.draw([run], tmp_path)
     assert "<svg" in (tmp_path / "long_run.svg").read_text()
     assert (tmp_path / "long_run.png").read_bytes().startswith(b"\x89PNG")

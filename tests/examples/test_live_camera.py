@@ -10,11 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slam.config import InputConfig
-from slam.datasets import open_sequence
+from slam import Camera, Config, Frame, SlamError, open_sequence, read_tum
 from slam.demo.recording import render_sequence
-from slam.evaluation.trajectory import read_tum
-from slam.types import Camera, Frame, SlamError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "live_camera.py"
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
@@ -45,7 +42,7 @@ def example():
 def frames(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rendered") / "room"
     render_sequence(folder, seconds=0.8, camera=CAMERA)
-    return list(open_sequence(folder, InputConfig()))
+    return list(open_sequence(folder, Config().input))
 
 
 def filmed(example, work_s, fps=30.0, count=31):
@@ -78,7 +75,7 @@ def test_a_run_on_the_rendered_room_tells_what_happens_and_can_be_kept(example, 
     assert "0.000 s  keyframe 0 at 0.00 0.00 0.00 m" in told
     assert "15 frames tracked" in told
     assert (out / "report.html").is_file()
-    sequence = open_sequence(kept, InputConfig())
+    sequence = open_sequence(kept, Config().input)
     assert sequence.camera == example.ROOM_CAMERA
     np.testing.assert_allclose(sequence.timestamps_s, np.arange(15) / 15.0, atol=1e-6)
     example.main([str(kept), "--out", str(tmp_path / "again")], clock=Clock())
@@ -89,12 +86,12 @@ def test_a_run_on_the_rendered_room_tells_what_happens_and_can_be_kept(example, 
 def test_what_is_kept_is_what_was_filmed(example, frames, tmp_path):
     passed_on = list(example.recorded(frames, CAMERA, tmp_path / "kept"))
     assert [frame is mine for frame, mine in zip(passed_on, frames, strict=True)] == [True] * 12
-    sequence = open_sequence(tmp_path / "kept", InputConfig())
+    sequence = open_sequence(tmp_path / "kept", Config().input)
     for frame, mine in zip(sequence, frames, strict=True):
         assert frame.timestamp_s == pytest.approx(mine.timestamp_s, abs=1e-6)
         assert (frame.rgb == mine.rgb).all()
         np.testing.assert_allclose(frame.depth_m, mine.depth_m, atol=0.00051)
-    with pytest.raises(SlamError, match="there is something already"):
+    with pytest.raises(SlamError, match="the folder exists already"):
         next(example.recorded(frames, CAMERA, tmp_path / "kept"))
 
 

@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.config import EvaluationConfig, InputConfig
-from slam.datasets import open_sequence
+from slam import Camera, Config, SlamError, Trajectory, open_sequence
 from slam.demo.recording import render_sequence
 from slam.evaluation.drift import trajectory_error
 from slam.evaluation.trajectory import write_tum
-from slam.types import Camera, SlamError, Trajectory
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "poses_from_elsewhere.py"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -39,18 +37,18 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_drift_of_an_odometry_that_is_not_ours_goes_away(example, folder, seed):
-    sequence = open_sequence(folder, InputConfig())
+    sequence = open_sequence(folder, Config().input)
     odometry = example.drifting(sequence.ground_truth, seed)
     result = example.close_loops(sequence, odometry)
     before, after = (
-        trajectory_error(each, sequence.ground_truth, EvaluationConfig()).ate_rmse_m
+        trajectory_error(each, sequence.ground_truth, Config().evaluation).ate_rmse_m
         for each in (odometry, example.corrected(odometry, result))
     )
     assert after < 0.5 * before
 
 
 def test_command_reads_an_odometry_file(example, folder, tmp_path, capsys):
-    truth = open_sequence(folder, InputConfig()).ground_truth
+    truth = open_sequence(folder, Config().input).ground_truth
     write_tum(tmp_path / "odometry.txt", example.drifting(truth, seed=0))
     example.main(str(folder), str(tmp_path / "odometry.txt"))
     from_file = capsys.readouterr().out

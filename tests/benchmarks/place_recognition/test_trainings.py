@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.place_recognition.__main__ import main
 from benchmarks.place_recognition.trainings import (
     LOSSES,
+    PAPERS,
     SEEDS,
     TRUNK_PLANS,
     compared_name,
-    papers_name,
     planned_trainings,
-    share,
 )
 from placerec.networks import TRUNKS
 
@@ -33,7 +33,7 @@ def test_compared_trainings_differ_in_the_loss_alone(trunk: str, seed: int):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_papers_conditions_are_the_same_for_both_losses(seed: int):
-    ours, theirs = (PLANNED[papers_name(loss, seed)].plan for loss in LOSSES)
+    ours, theirs = (PLANNED[compared_name(PAPERS, loss, seed)].plan for loss in LOSSES)
     assert replace(ours, loss="triplet") == theirs != ours
     assert (ours.alpha, ours.beta, ours.gamma_prime) == (0.5, 0.3, 0.4)
     assert ours.random_last_layer and not ours.covariance
@@ -55,7 +55,11 @@ def test_another_plan_of_the_same_name_is_not_taken_for_done(tmp_path: Path):
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3])
-def test_parts_share_all_trainings_among_them(parts: int):
-    planned = planned_trainings()
-    shared = [each for part in range(parts) for each in share(planned, part + 1, parts)]
-    assert sorted(each.name for each in shared) == sorted(PLANNED)
+def test_parts_share_all_trainings_among_them(parts: int, monkeypatch, capsys):
+    folders = [f"--{name}=nowhere" for name in ("data", "scenes", "validation", "trunk-weights")]
+    for part in range(1, parts + 1):
+        told = ["_", *folders, "--runs=nowhere", "--list", f"--part={part}/{parts}"]
+        monkeypatch.setattr("sys.argv", told)
+        main()
+    listed = [line.removeprefix("to do  ") for line in capsys.readouterr().out.splitlines()]
+    assert sorted(listed) == sorted(each.folder(Path()).name for each in PLANNED.values())

@@ -4,7 +4,9 @@ import pytest
 
 from benchmarks.training_scenes import rendered
 from benchmarks.training_scenes.folder import write_folder
+from benchmarks.training_scenes.rendered import papered
 from placerec.datasets import open_dataset
+from slam.demo.panels import Panel
 
 
 @pytest.mark.parametrize("kind", ["room", "desk"])
@@ -28,3 +30,42 @@ def test_a_folder_that_could_not_be_finished_is_not_there(tmp_path):
     assert not (tmp_path / "scene").exists()
     write_folder(tmp_path / "scene", [(1.0, np.zeros((4, 4, 3), np.uint8), np.eye(4))])
     assert (tmp_path / "scene" / "rgb.txt").read_text() == "1.000000 rgb/1.000000.png\n"
+
+
+RED = np.full((30, 40, 3), (250, 0, 0), np.uint8)
+
+
+def _panels(count, size=(32, 48)):
+    texture = np.zeros((*size, 3), np.uint8)
+    edges = np.eye(3)
+    return [Panel(edges[0], edges[1], edges[2], texture) for _ in range(count)]
+
+
+def _is_papered(panels, share, seed=0, photographs=(RED,)):
+    shown = papered(panels, photographs, share, np.random.default_rng(seed))
+    return [bool(panel.texture.any()) for panel in shown]
+
+
+def test_a_share_of_the_panels_shows_a_photograph_in_the_old_size():
+    panels = _panels(200)
+    assert 60 < sum(_is_papered(panels, 0.4)) < 100
+    assert _is_papered(panels, 0.4) == _is_papered(panels, 0.4)
+    assert _is_papered(panels, 0.4) != _is_papered(panels, 0.4, seed=1)
+    shown = papered(panels, [RED], 1.0, np.random.default_rng(0))
+    assert {panel.texture.shape for panel in shown} == {(32, 48, 3)}
+    assert all((panel.texture == (250, 0, 0)).all() for panel in shown)
+
+
+def test_nothing_is_done_where_nothing_is_asked_and_tiny_panels_are_left():
+    assert not any(_is_papered(_panels(50), 0.0))
+    assert not any(_is_papered(_panels(50, size=(10, 200)), 1.0))
+
+
+def test_pieces_differ_and_keep_their_proportions():
+    ramp = np.tile(np.arange(0, 200, 2, dtype=np.uint8)[:, None, None], (1, 100, 3))
+    shown = papered(_panels(20), [ramp], 1.0, np.random.default_rng(0))
+    tops = {int(panel.texture[0, 0, 0]) for panel in shown}
+    assert len(tops) > 5
+    for panel in shown:  # no panel shows more of the height than of the width
+        span = int(panel.texture[-1, 0, 0]) - int(panel.texture[0, 0, 0])
+        assert 0 < span < 2 * 100 * 32 / 48 + 4

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from benchmarks.place_recognition.measured import Measured
-from benchmarks.place_recognition.sets import EvaluationSet
+from benchmarks.place_recognition.measured import EvaluationSet, Measured
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.evaluation.figures import (
@@ -29,7 +28,7 @@ PAPERS_BYTES = {"1000 values": 4.0 * 1000, "4096 values": 4.0 * 4096}
 """The paper's dimensions in single precision; its figures name no other numbers in the text."""
 
 
-class Pictures:
+class Figures:
     """Draws figures into a folder; each method returns the files' names."""
 
     def __init__(self, folder: Path) -> None:
@@ -41,20 +40,21 @@ class Pictures:
         dataset = _typical(each, next(iter(methods.values())))
         found = {name: m.similarities[dataset.name] for name, m in methods.items()}
         title = each.name if len(each.datasets) == 1 else f"{each.name}: {dataset.name}"
+        slug = each.name.replace(" ", "_")
         pairs = {name: pair_curve(values, dataset) for name, values in found.items()}
         best = {name: best_match_curve(values, dataset) for name, values in found.items()}
         return [
-            self._png(f"pairs-{each.slug}", precision_recall(pairs, f"{title}, all pairs")),
-            self._png(f"best-{each.slug}", precision_recall(best, f"{title}, best matches")),
+            self._write(f"pairs-{slug}.png", precision_recall(pairs, f"{title}, all pairs")),
+            self._write(f"best-{slug}.png", precision_recall(best, f"{title}, best matches")),
         ]
 
     def distances(self, dataset: PlaceDataset, methods: Mapping[str, Similarities]) -> str:
         """Draw distances beside the truth (Figure 11)."""
-        return self._png(f"distances-{dataset.name}", heat_maps(dataset, methods, columns=2))
+        return self._write(f"distances-{dataset.name}.png", heat_maps(dataset, methods, columns=2))
 
     def dimensions(self, series: Mapping[str, Mapping[int, list[float]]]) -> str:
         """Draw average precision over the dimension (Figure 12)."""
-        return self._svg("dimensions", dimension_comparison(series))
+        return self._write("dimensions.svg", dimension_comparison(series))
 
     def costs(self, costs: Mapping[str, Cost]) -> list[str]:
         """Draw what embedding, comparing and keeping take (Figures 13 to 15)."""
@@ -62,9 +62,9 @@ class Pictures:
         compare = {name: cost.compare_ms for name, cost in costs.items()}
         size = {name: float(cost.embedding_bytes) for name, cost in costs.items()}
         return [
-            self._svg("extraction", bars(embed, "ms per image", PAPERS_EXTRACTION_MS)),
-            self._svg("comparison", bars(compare, "ms per comparison", PAPERS_COMPARISON_MS)),
-            self._svg("sizes", bars(size, "bytes per image", PAPERS_BYTES)),
+            self._write("extraction.svg", bars(embed, "ms per image", PAPERS_EXTRACTION_MS)),
+            self._write("comparison.svg", bars(compare, "ms per comparison", PAPERS_COMPARISON_MS)),
+            self._write("sizes.svg", bars(size, "bytes per image", PAPERS_BYTES)),
         ]
 
     def way(self, name: str, dataset: PlaceDataset, similarities: Similarities) -> str:
@@ -72,15 +72,12 @@ class Pictures:
         curve = best_match_curve(similarities, dataset)
         matches = best_matches(similarities, dataset)
         figure = recognised_places(dataset, matches, curve.balanced_threshold, name)
-        return self._svg(f"way-{name.split(',')[0].replace(' ', '_')}", figure)
+        return self._write(f"way-{name.replace(' ', '_')}.svg", figure)
 
-    def _svg(self, name: str, figure: Figure) -> str:
-        write_atomically(self._folder / f"{name}.svg", svg(figure))
-        return f"{name}.svg"
-
-    def _png(self, name: str, figure: Figure) -> str:
-        write_atomically(self._folder / f"{name}.png", png(figure))
-        return f"{name}.png"
+    def _write(self, name: str, figure: Figure) -> str:
+        save = svg if name.endswith(".svg") else png
+        write_atomically(self._folder / name, save(figure))
+        return name
 
 
 def _typical(each: EvaluationSet, method: Measured) -> PlaceDataset:
