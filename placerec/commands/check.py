@@ -10,7 +10,9 @@ from typing import Annotated
 import tyro
 
 from placerec.commands.data import RECOGNIZER
-from placerec.conformance import CHECKS, PLACES, SECTIONS, Examination, Finding, Verdict
+from placerec.conformance.examination import CHECKS, SECTIONS, Examination
+from placerec.conformance.made_images import PLACES
+from placerec.conformance.subject import Finding, Verdict
 from placerec.recognizer import load
 
 DOES_NOT_CONFORM = 1
