@@ -7,10 +7,11 @@ from typing import Annotated
 import tyro
 
 from placerec.certificate import TAIL, Certificate, write_certificate
-from placerec.commands.data import RECOGNIZER, embed_data, open_data
+from placerec.commands.data import RECOGNIZER, open_data, progress_bar
 from placerec.datasets import describe
 from placerec.errors import RecognizerError
 from placerec.evaluation import calibration
+from placerec.evaluation.embeddings import embed_dataset
 from placerec.recognizer import WEIGHTS_SUFFIX, load
 from placerec.recognizers import fitted_file
 
@@ -41,9 +42,10 @@ def calibrate(
             "say with --out FILE.json where to write it"
         )
     loaded, dataset = load(recognizer), open_data(data)
-    embeddings, _ = embed_data(recognizer, loaded, dataset)
+    with progress_bar(f"{recognizer} on {dataset.name}", len(dataset)) as progress:
+        embedded = embed_dataset(loaded, dataset, progress=progress)
     name = Path(recognizer).name if is_weights else recognizer
-    certificate = calibration.calibrate(name, loaded, dataset, embeddings)
+    certificate = calibration.calibrate(name, loaded, dataset, embedded.embeddings)
     kept = _keep(certificate, recognizer, out)
     print(f"{describe(dataset)}\n{_summary(certificate)}\n{kept}")
     return 0

@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The datasets that commands are given: opened, described, embedded before people's eyes."""
+"""What the commands share: opening the datasets that they are given, and the progress bar."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
+import tyro
 from tqdm import tqdm
 
 from placerec.datasets import PlaceDataset, open_collection, open_dataset
 from placerec.datasets.images import images_in
 from placerec.datasets.place_dataset import keep_readable
-from placerec.evaluation.embeddings import embed_dataset
 from placerec.files import Progress
-from placerec.recognizer import PlaceRecognizer
 
+Data = Annotated[
+    tuple[str, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
+]
 RECOGNIZER = "NAME|MODULE:CLASS|FILE"
 """How the helps write what `load` takes."""
 
@@ -67,16 +71,3 @@ def progress_bar(title: str, total: int, unit: str = "image") -> Iterator[Progre
     # disable=None: no bar where nobody watches, as in a file.
     with tqdm(desc=title, total=total, unit=unit, leave=False, disable=None) as bar:
         yield lambda done, _: bar.update(done - bar.n)
-
-
-def embed_data(
-    name: str, recognizer: PlaceRecognizer, dataset: PlaceDataset
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return the (N, *S) embeddings of a dataset and the (N,) seconds each took, under a bar.
-
-    Raises:
-        RecognizerError: the recognizer fails, or an image can no longer be read.
-    """
-    with progress_bar(f"{name} on {dataset.name}", len(dataset)) as progress:
-        embedded = embed_dataset(recognizer, dataset, progress=progress)
-    return embedded.embeddings, embedded.seconds

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tqdm import tqdm
 
-from placerec.commands.data import open_all
+from placerec.commands.data import Data, open_all
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError, deferred_interrupts
 from placerec.training.config import TrainingPlan
@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 
 
 def train(
-    data: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
-    ],
+    data: Data,
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     plan: Annotated[TrainingPlan, tyro.conf.arg(name="")],
