@@ -14,6 +14,7 @@ from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
 
 FloatArray = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -59,15 +60,10 @@ class BestMatches:
             a right one, the wrong one is the match.
     """
 
-    queries: NDArray[np.int64]
-    references: NDArray[np.int64]
+    queries: Indices
+    references: Indices
     similarities: Similarities
     are_right: NDArray[np.bool_]
-
-    def first(self, *, right: bool) -> int | None:
-        """Return the index of the most similar right (or wrong) match, None where there is none."""
-        chosen = np.flatnonzero(self.are_right == right)
-        return int(chosen[np.argmax(self.similarities[chosen])]) if chosen.size else None
 
 
 @dataclass(frozen=True)
@@ -198,11 +194,22 @@ def _split(similarities: Similarities, dataset: PlaceDataset) -> tuple[Similarit
     return np.where(right, similarities, -np.inf), np.where(wrong, similarities, -np.inf)
 
 
+def ranked_pairs(similarities: Similarities, chosen: NDArray[np.bool_]) -> tuple[Indices, Indices]:
+    """Return rows and columns of the chosen among (Q, R) pairs, the most similar first."""
+    rows, columns = np.nonzero(chosen)
+    order = np.argsort(-similarities[rows, columns], kind="stable")
+    return rows[order], columns[order]
+
+
+def ends_of_ties(falling: NDArray[np.floating]) -> Indices:
+    """Return where each run of equal values ends: these pass a threshold together."""
+    return np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
+
+
 def _curve(similarities: Similarities, right: NDArray[np.bool_], total: int) -> Curve:
     """Return the curve of (M,) matches; total is how many right ones there could be."""
     order = np.argsort(-similarities, kind="stable")
     falling = similarities[order].astype(np.float64)
-    # Equal similarities pass a threshold together: the curve has one point for all of them.
-    last = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
+    last = ends_of_ties(falling)
     recognised_right = np.cumsum(right[order])[last]
     return Curve(falling[last], recognised_right / (last + 1), recognised_right / total)
