@@ -10,16 +10,7 @@ import numpy as np
 
 from placerec.conformance import answer, recognition, repetition
 from placerec.conformance.made_images import places
-from placerec.conformance.subject import (
-    Check,
-    Finding,
-    NamelessError,
-    Outcome,
-    Subject,
-    Verdict,
-    judged,
-    not_tried,
-)
+from placerec.conformance.subject import Check, Finding, NamelessError, Outcome, Subject, Verdict
 from placerec.evaluation.measurement import Cost, measure_cost
 from placerec.recognizer import PlaceRecognizer
 
@@ -65,9 +56,9 @@ class Examination:
     def find(self, check: Check) -> Finding:
         """Return what a check finds; a recognizer that raises has failed it."""
         if check.name not in self._findings:
-            obstacle = self._obstacle(check)
-            outcome = not_tried(f"first mend {obstacle!r}") if obstacle else self._outcome(check)
-            self._findings[check.name] = Finding(check, *outcome)
+            passed, measured = self._outcome(check)
+            verdict = {True: Verdict.PASSED, False: Verdict.FAILED, None: Verdict.NOT_TRIED}[passed]
+            self._findings[check.name] = Finding(check, verdict, measured)
         return self._findings[check.name]
 
     def cost(self) -> Cost | None:
@@ -96,10 +87,12 @@ class Examination:
         return None
 
     def _outcome(self, check: Check) -> Outcome:
+        if obstacle := self._obstacle(check):
+            return None, f"first mend {obstacle!r}"
         with redirect_stdout(io.StringIO()):  # what it prints has a check of its own
             try:
                 return check.run(self._subject)
             except NamelessError as reason:
-                return not_tried(f"{reason}")
+                return None, f"{reason}"
             except Exception as error:
-                return judged(False, self._subject.explain(error))
+                return False, self._subject.explain(error)

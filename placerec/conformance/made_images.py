@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generated pictures of places, and the same places seen a little differently."""
+"""Generated pictures of places."""
 
 from functools import cache
 
@@ -17,25 +17,6 @@ def places(shift_px: int = 0) -> list[Image]:
     """Return a (480, 640, 3) picture of each place, the camera turned right by some pixels."""
     window = np.s_[:, shift_px : shift_px + _WIDTH_PX]
     return [np.ascontiguousarray(_wall(seed)[window]) for seed in range(PLACES)]
-
-
-def relit(images: list[Image], gain: float) -> list[Image]:
-    """Return images as a longer or shorter exposure shows them; what is too bright is white."""
-    return [np.clip(image * gain, 0, 255).astype(np.uint8) for image in images]
-
-
-def colourless() -> list[Image]:
-    """Return (480, 640, 3) images with little or nothing in them: grey, black, white, one hue."""
-    grey = places()[0].mean(axis=2, keepdims=True).astype(np.uint8).repeat(3, axis=2)
-    plain = [np.full_like(grey, colour) for colour in (0, 255, (200, 40, 90))]
-    return [grey, *plain]
-
-
-def odd_sizes() -> list[Image]:
-    """Return a picture cut to sizes that no camera has, and one larger than most have."""
-    wall = places()[0]
-    cut = [wall[:241, :319], wall[:97, :641], wall[:480, :161], wall.repeat(2, 0).repeat(2, 1)]
-    return [np.ascontiguousarray(image) for image in cut]
 
 
 @cache

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from placerec.conformance.answer import finite, one_shape
 from placerec.conformance.made_images import places
-from placerec.conformance.subject import Outcome, Subject, as_check, judged, not_tried
+from placerec.conformance.subject import Outcome, Subject, as_check
 from placerec.recognizer import load
 
 _AGAINS = 3
@@ -119,10 +119,10 @@ def _same(expected: Sequence[NDArray[Any]], found: Sequence[NDArray[Any]]) -> Ou
     pairs = list(zip(expected, found, strict=True))
     wrong = [(a, b) for a, b in pairs if a.shape != b.shape or a.tobytes() != b.tobytes()]
     if not wrong:
-        return judged(True, f"{len(pairs)} of {len(pairs)} to the last bit")
+        return True, f"{len(pairs)} of {len(pairs)} to the last bit"
     gaps = [float(np.abs(a - b).max()) for a, b in wrong if a.shape == b.shape]
     how = f"by up to {max(gaps):.3g}" if gaps else "in shape"
-    return judged(False, f"{len(wrong)} of {len(pairs)} differ {how}")
+    return False, f"{len(wrong)} of {len(pairs)} differ {how}"
 
 
 @as_check(
@@ -133,8 +133,8 @@ def _same(expected: Sequence[NDArray[Any]], found: Sequence[NDArray[Any]]) -> Ou
 def _keeps_no_images(subject: Subject) -> Outcome:
     kept_mb = subject.fresh_run.kept_mb
     if np.isnan(kept_mb):
-        return not_tried("only Linux tells how much memory is taken")
-    return judged(kept_mb <= _MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image")
+        return None, "only Linux tells how much memory is taken"
+    return kept_mb <= _MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image"
 
 
 CHECKS = (_again, _alone, _another_thread, _threads_at_once, _second_instance, fresh_process)

@@ -65,8 +65,7 @@ def run_in_fresh_process(name: str) -> FreshRun:
             said = done.stderr.strip().splitlines()
             raise RecognizerError(said[-1] if said else f"it ended with code {done.returncode}")
         with np.load(out) as run:
-            own_mb, kept_mb = (float(value) for value in run["memory_mb"])
-            return FreshRun(run["embeddings"], own_mb, kept_mb)
+            return FreshRun(run["embeddings"], float(run["own_mb"]), float(run["kept_mb"]))
 
 
 def main() -> None:
@@ -83,8 +82,8 @@ def main() -> None:
     for image in images * _ROUNDS:
         recognizer.embed(image.copy())
     kept_mb = (_status_mb("VmRSS") - settled_mb) / (len(images) * _ROUNDS)
-    memory_mb = (_status_mb("VmHWM") - before_mb, kept_mb)
-    np.savez(out, embeddings=np.stack(embeddings), memory_mb=memory_mb)
+    own_mb = _status_mb("VmHWM") - before_mb
+    np.savez(out, embeddings=np.stack(embeddings), own_mb=own_mb, kept_mb=kept_mb)
 
 
 def _status_mb(key: str) -> float:
@@ -116,11 +115,7 @@ class Subject:
         self.comparer = cast(Comparer, recognizer) if self.compares else COSINES
 
     def embed(self, image: Image) -> NDArray[Any]:
-        """Return what the recognizer makes of a copy of an image, as an array.
-
-        Raises:
-            Exception: whatever the recognizer raises.
-        """
+        """Return as an array what the recognizer makes of a copy of an image, or let it raise."""
         return np.asarray(self.recognizer.embed(image.copy()))
 
     @cached_property
@@ -130,21 +125,12 @@ class Subject:
 
     @cached_property
     def fresh_run(self) -> FreshRun:
-        """What one of its kind does in a Python of its own.
-
-        Raises:
-            NamelessError: it has no name.
-            RecognizerError: it fails there.
-        """
+        """What one of its kind does in a Python of its own; a RecognizerError if it fails there."""
         return run_in_fresh_process(self.name)
 
     @property
     def name(self) -> str:
-        """What `load` makes another one by.
-
-        Raises:
-            NamelessError: it has no name.
-        """
+        """What `load` makes another one by; a NamelessError where nobody knows."""
         if self._name is None:
             raise NamelessError("there is no name to make another one by")
         return self._name
@@ -172,8 +158,8 @@ class Verdict(StrEnum):
     NOT_TRIED = "--"
 
 
-Outcome = tuple[Verdict, str]
-"""A verdict and, in one line, the value that led to it."""
+Outcome = tuple[bool | None, str]
+"""Whether a check passed, None where it was not tried, and in one line the value that says so."""
 
 
 @dataclass(frozen=True)
@@ -212,13 +198,3 @@ class Finding:
     def failed(self) -> bool:
         """Whether the recognizer does not do what it must."""
         return self.verdict is Verdict.FAILED
-
-
-def judged(is_good: bool, measured: str) -> Outcome:
-    """Return the outcome of a check that was made."""
-    return (Verdict.PASSED if is_good else Verdict.FAILED), measured
-
-
-def not_tried(why: str) -> Outcome:
-    """Return the outcome of a check that could not be made, or need not be."""
-    return Verdict.NOT_TRIED, why
