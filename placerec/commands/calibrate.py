@@ -47,7 +47,15 @@ def calibrate(
     name = Path(recognizer).name if is_weights else recognizer
     certificate = calibration.calibrate(name, loaded, dataset, embedded.embeddings)
     kept = _keep(certificate, recognizer, out)
-    print(f"{describe(dataset)}\n{_summary(certificate)}\n{kept}")
+    low, high = certificate.threshold_interval
+    least, most = certificate.recall_interval
+    print(
+        f"{describe(dataset)}\n"
+        f"worth verifying from {certificate.min_similarity:.4f}: {TAIL:.0%} of the pairs of "
+        f"different places are so alike, and {certificate.recall_to_verify:.1%} of those of one "
+        f"place\nthreshold without an error {certificate.threshold:.4f} (95 % interval {low:.4f} "
+        f"to {high:.4f}), recall {certificate.recall:.3f} ({least:.3f} to {most:.3f})\n{kept}"
+    )
     return 0
 
 
@@ -64,14 +72,3 @@ def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
 
         path = keep_calibration(Path(weights), certificate)
     return f"min_similarity written to {weights}\ncertificate written to {path}"
-
-
-def _summary(certificate: Certificate) -> str:
-    low, high = certificate.threshold_interval
-    least, most = certificate.recall_interval
-    return (
-        f"worth verifying from {certificate.min_similarity:.4f}: {TAIL:.0%} of the pairs of "
-        f"different places are so alike, and {certificate.recall_to_verify:.1%} of those of one "
-        f"place\nthreshold without an error {certificate.threshold:.4f} (95 % interval {low:.4f} "
-        f"to {high:.4f}), recall {certificate.recall:.3f} ({least:.3f} to {most:.3f})"
-    )

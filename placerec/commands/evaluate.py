@@ -65,7 +65,14 @@ def evaluate(
         rows = _measure_all(data, loaded, out, cache)
         print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
         print("".join(f"{note}\n" for note in notes(rows)), end="")
-        _write(rows, out)
+        write_atomically(out / "results.csv", evaluation_csv(rows).encode())
+        # Loaded here, because drawing takes a second to load that the other commands do not need.
+        from placerec.evaluation.report.page import render
+
+        with progress_bar("drawing", len(rows), "figure") as progress:
+            page = render(rows, progress)
+        write_atomically(out / "index.html", page.encode())
+        print(f"written to {out / 'index.html'} and results.csv")
     except KeyboardInterrupt:
         raise RecognizerError("stopped; embeddings that were kept are not made again") from None
     left_out = {name for name, each in loaded.items() if isinstance(each, RecognizerError)}
@@ -112,14 +119,3 @@ def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerErr
                     raise
                 loaded[each] = error
     return loaded
-
-
-def _write(rows: Sequence[Measurement], folder: Path) -> None:
-    # Loaded here, because drawing takes a second to load that the other commands do not need.
-    from placerec.evaluation.report.page import render
-
-    write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
-    with progress_bar("drawing", len(rows), "figure") as progress:
-        page = render(rows, progress)
-    write_atomically(folder / "index.html", page.encode())
-    print(f"written to {folder / 'index.html'} and results.csv")

@@ -10,8 +10,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from placerec.commands.data import Data, open_images, progress_bar
+from placerec.commands.data import Data, open_data, progress_bar, with_skipped_named
 from placerec.datasets import PlaceDataset
+from placerec.datasets.images import images_in
+from placerec.datasets.place_dataset import keep_readable
 from placerec.errors import RecognizerError
 from placerec.files import Progress
 from placerec.recognizer import WEIGHTS_SUFFIX, cause_of, find, imported
@@ -51,7 +53,7 @@ def fit(
     learn = cast(Fit | None, getattr(made, "fit", None))
     if learn is None:
         raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
-    datasets = [open_images(source) for source in data]
+    datasets = [_open_images(source) for source in data]
     count = sum(map(len, datasets))
     with progress_bar(f"fitting {recognizer}", count) as progress:
         try:
@@ -81,6 +83,18 @@ def _refuse(recognizer: str, data: Sequence[str], out: Path, seed: int) -> None:
     ):
         if is_wrong:
             raise RecognizerError(f"fit needs {what}; see --help: {out}")
+
+
+def _open_images(source: str) -> PlaceDataset:
+    """Open a dataset to learn from without its truth, or just a folder of images."""
+    folder = Path(source)
+    paths = tuple(images_in(folder)) if folder.is_dir() else ()
+    if not paths:
+        return open_data(source, "train")
+    # No query and no reference: nothing is compared.
+    nobody, nothing = np.empty(0, np.int64), np.empty((0, 0), np.bool_)
+    dataset = PlaceDataset(folder.resolve().name, paths, nobody, nobody, nothing, nothing)
+    return with_skipped_named(keep_readable(dataset))
 
 
 class _Images(Sequence[NDArray[np.uint8]]):
