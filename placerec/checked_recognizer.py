@@ -84,9 +84,6 @@ class CheckedRecognizer:
         looks_back: how many queries before the one in question matter to its similarities.
     """
 
-    min_similarity: float
-    looks_back: int
-
     def __init__(self, recognizer: PlaceRecognizer, name: str | None = None) -> None:
         """Wrap a recognizer; the name is what errors call it, by default its class's.
 
@@ -133,9 +130,7 @@ class CheckedRecognizer:
         return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
 
     def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
-        """Return the (Q, R) float32 similarities, -1 to 1, of (Q, *S) and (R, *S) embeddings.
-
-        Both are in the order in which they were seen.
+        """Return (Q, R) float32 similarities as a `Comparer` does.
 
         Raises:
             RecognizerError: the recognizer failed, or its answer is no such similarities.

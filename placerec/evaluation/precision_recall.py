@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well similarities tell same places from different ones.
 
-Wherever similarities are equal, no order is assumed in the recognizer's favour.
+Wherever similarities are equal, no order is assumed in the recognizer's favour. What a dataset
+cannot show is refused with a RecognizerError: curves and recalls need two images of it that are of
+one place, and two that are of different ones.
 """
 
 from dataclasses import dataclass
@@ -136,11 +138,7 @@ def compare(
 
 
 def pair_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve:
-    """Return precision and recall over all pairs that count, each once.
-
-    Raises:
-        RecognizerError: no two images of the dataset are of one place, or of different ones.
-    """
+    """Return precision and recall over all pairs that count, each once."""
     refuse_without_truth(dataset)
     counted = dataset.pairs
     right = dataset.same_place[counted]
@@ -152,9 +150,6 @@ def best_match_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve
 
     A query without any reference of its place takes part: its best match is an error. The recall
     is of the queries that have one.
-
-    Raises:
-        RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
     refuse_without_truth(dataset)
     best = best_matches(similarities, dataset)
@@ -176,9 +171,6 @@ def recall_at(k: int, similarities: Similarities, dataset: PlaceDataset) -> floa
     """Return the share of queries that have a right one among their k most similar references.
 
     Of all queries that have a right reference at all.
-
-    Raises:
-        RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
     refuse_without_truth(dataset)
     right, wrong = _split(similarities, dataset)

@@ -72,11 +72,12 @@ def dimension_comparison(series: Mapping[str, Mapping[int, Sequence[float]]]) ->
             runs = [np.array(values[dimension]) for dimension in dimensions]
             means = np.array([run.mean() for run in runs])
             spread = [means - [run.min() for run in runs], [run.max() for run in runs] - means]
+            look = f"o{dashes}"
             axes.errorbar(
                 dimensions,
                 means,
                 spread,
-                fmt=f"o{dashes}",
+                fmt=look,
                 color=colour,
                 markersize=4,
                 capsize=3,

@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from placerec.evaluation.figures import bars
+from placerec.evaluation.figures import bars, svg
 from placerec.evaluation.measurement import Cost, Measured
 from placerec.evaluation.report.examples import PageFigure, page_figure
 
@@ -103,7 +103,7 @@ def cost_figures(rows: Sequence[CostRow]) -> list[PageFigure]:
         ),
     )
     return [
-        page_figure(bars(measured, label, paper), f"Bars: {label}")
+        page_figure(svg(bars(measured, label, paper)), f"Bars: {label}")
         for label, measured, paper in quantities
     ]
 

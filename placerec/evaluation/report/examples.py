@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from placerec.datasets import PlaceDataset
-from placerec.drawing import svg
 from placerec.errors import RecognizerError
 from placerec.evaluation.precision_recall import BestMatches
 
@@ -46,10 +44,10 @@ class Match:
     reference: str
 
 
-def page_figure(figure: Figure, alt: str) -> PageFigure:
-    """Return a figure for a page."""
+def page_figure(svg: bytes, alt: str) -> PageFigure:
+    """Return an SVG file for a page."""
     # A file of its own within the page: inner names of several figures cannot get mixed up.
-    return PageFigure(_address("image/svg+xml", svg(figure)), alt)
+    return PageFigure(_address("image/svg+xml", svg), alt)
 
 
 def first_matches(dataset: PlaceDataset, matches: BestMatches) -> tuple[Match | None, Match | None]:

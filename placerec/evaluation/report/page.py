@@ -15,6 +15,7 @@ from placerec.evaluation.figures import (
     distance_map,
     precision_recall,
     recognised_places,
+    svg,
     truth_map,
 )
 from placerec.evaluation.measurement import Failed, Measured, Measurement
@@ -28,18 +29,7 @@ _PACKAGES = ("loopclose", "numpy", "opencv-python-headless", "torch", "matplotli
 
 @dataclass(frozen=True)
 class _Section:
-    """What the page shows of a dataset.
-
-    Attributes:
-        dataset: which.
-        description: its images and pairs, in a line.
-        rows: what was measured on it, or why it was not, by recognizer.
-        best: the largest average precision.
-        curves: precision and recall over all pairs and over the best matches.
-        maps: the truth and each method's distances.
-        paths: each method's recognised places on the way, where that is known.
-        matches: each method's first right and first wrong match.
-    """
+    """What the page shows of a dataset; rows and matches by recognizer, matches right and wrong."""
 
     dataset: PlaceDataset
     description: str
@@ -64,6 +54,7 @@ def render(rows: Sequence[Measurement], progress: Progress | None = None) -> str
     measured = [row for row in rows if isinstance(row, Measured)]
     datasets = list({id(row.dataset): row.dataset for row in rows}.values())
     costs = cost_rows(measured)
+    installed = {package: installed_version(package) for package in _PACKAGES}
     drawn = count(1)
 
     def tell() -> None:
@@ -83,7 +74,10 @@ def render(rows: Sequence[Measurement], progress: Progress | None = None) -> str
         earlier=EARLIER,
         resamples=RESAMPLES,
         confidence=CONFIDENCE,
-        versions=_versions(),
+        versions=[
+            f"python {platform.python_version()}",
+            *(f"{package} {version}" for package, version in installed.items() if version),
+        ],
     )
 
 
@@ -99,22 +93,18 @@ def _section(
         return section
     for title, curves in (("all pairs", pairs), ("best match of each query", best)):
         alt = f"Precision over recall, {title}: {dataset.name}"
-        section.curves.append(page_figure(precision_recall(curves, title), alt))
-    section.maps.append(page_figure(truth_map(dataset), f"Which images of {dataset.name} match"))
+        section.curves.append(page_figure(svg(precision_recall(curves, title)), alt))
+    section.maps.append(
+        page_figure(svg(truth_map(dataset)), f"Which images of {dataset.name} match")
+    )
     for name, row in measured.items():
         found, on = row.evaluation, f"{name} on {dataset.name}"
         distances = distance_map(name, found.similarities, dataset)
-        section.maps.append(page_figure(distances, f"Distances: {on}"))
+        section.maps.append(page_figure(svg(distances), f"Distances: {on}"))
         if dataset.positions_m is not None:
             threshold = found.best_match_curve.balanced_threshold
             places = recognised_places(dataset, found.best_matches, threshold, name)
-            section.paths.append(page_figure(places, f"Recognised places on the way: {on}"))
+            section.paths.append(page_figure(svg(places), f"Recognised places on the way: {on}"))
         section.matches[name] = first_matches(dataset, found.best_matches)
         tell()
     return section
-
-
-def _versions() -> list[str]:
-    installed = ((package, installed_version(package)) for package in _PACKAGES)
-    known = [f"{package} {version}" for package, version in installed if version]
-    return [f"python {platform.python_version()}", *known]
