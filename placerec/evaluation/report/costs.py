@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from placerec.evaluation.figures import bars, svg
-from placerec.evaluation.measurement import Measured
-from placerec.evaluation.report.examples import Drawing, drawing
+from placerec.evaluation.measurement import Cost, Measured
+from placerec.evaluation.report.examples import PageFigure, page_figure
 
-R_MAC = "rmac"
+_R_MAC = "rmac"
 """The recognizer that the paper measures by, without regard to hyphens and capitals."""
-FLOAT_BYTES = 4
-R_MAC_EMBED_MS, R_MAC_VALUES = 77 * 22.0, 512
+_FLOAT_BYTES = 4
+_R_MAC_EMBED_MS, _R_MAC_VALUES = 77 * 22.0, 512
 """It takes "almost 77 times" as long as AlexNet's 22 ms."""
 
 
@@ -36,18 +36,18 @@ class Published:
     @property
     def embed_ratio(self) -> float | None:
         """How many times R-MAC's time to extract."""
-        return None if self.embed_ms is None else self.embed_ms / R_MAC_EMBED_MS
+        return None if self.embed_ms is None else self.embed_ms / _R_MAC_EMBED_MS
 
     @property
     def size_ratio(self) -> float | None:
         """How many times R-MAC's numbers in a vector."""
-        return None if self.values is None else self.values / R_MAC_VALUES
+        return None if self.values is None else self.values / _R_MAC_VALUES
 
 
 PAPER = (
     Published("AlexNet, 4096 values", ("learned",), 22.0, 0.0189, 4096),
     Published("AlexNet or VGG16, 1000 values", (), None, None, 1000),
-    Published("R-MAC", (R_MAC,), R_MAC_EMBED_MS, None, R_MAC_VALUES),
+    Published("R-MAC", (_R_MAC,), _R_MAC_EMBED_MS, None, _R_MAC_VALUES),
     Published("NetVLAD", ("netvlad",), None, None, 4096),
     Published("AMOSNet, HybridNet", ("amosnet", "hybridnet"), None, None, 256 * 13 * 13),
 )
@@ -74,15 +74,15 @@ def cost_rows(rows: Sequence[Measured]) -> list[CostRow]:
     first: dict[str, Measured] = {}
     for row in rows:
         first.setdefault(row.recognizer, row)
-    yardstick = next((row for name, row in first.items() if _plain(name) == R_MAC), None)
+    r_mac = next((row.cost for name, row in first.items() if _plain(name) == _R_MAC), None)
     published = {name: method for method in PAPER for name in method.recognizers}
     return [
-        CostRow(row, _ratios(row, yardstick), published.get(_plain(name)))
+        CostRow(row, _ratios(row.cost, r_mac) if r_mac else None, published.get(_plain(name)))
         for name, row in first.items()
     ]
 
 
-def cost_drawings(rows: Sequence[CostRow]) -> list[Drawing]:
+def cost_figures(rows: Sequence[CostRow]) -> list[PageFigure]:
     """Return time to embed, time to compare and size as bars, the paper's in grey below."""
     costs = {row.measured.recognizer: row.measured.cost for row in rows}
     quantities = (
@@ -99,11 +99,11 @@ def cost_drawings(rows: Sequence[CostRow]) -> list[Drawing]:
         (
             "bytes per place",
             {name: float(cost.embedding_bytes) for name, cost in costs.items()},
-            {row.method: float(FLOAT_BYTES * row.values) for row in PAPER if row.values},
+            {row.method: float(_FLOAT_BYTES * row.values) for row in PAPER if row.values},
         ),
     )
     return [
-        drawing(svg(bars(measured, label, paper)), f"Bars: {label}")
+        page_figure(svg(bars(measured, label, paper)), f"Bars: {label}")
         for label, measured, paper in quantities
     ]
 
@@ -112,10 +112,7 @@ def _plain(name: str) -> str:
     return name.replace("-", "").lower()
 
 
-def _ratios(row: Measured, yardstick: Measured | None) -> tuple[float, float, float] | None:
-    if yardstick is None:
-        return None
-    cost, unit = row.cost, yardstick.cost
+def _ratios(cost: Cost, unit: Cost) -> tuple[float, float, float]:
     return (
         cost.embed_ms / unit.embed_ms,
         cost.compare_ms / unit.compare_ms,
