@@ -9,14 +9,14 @@ from pathlib import Path
 from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
 from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge
-from placerec.training.config import TrainingPlan
+from placerec.training.config import TrainingConfig
 from placerec.training.loop import Training
 from placerec.training.run import WEIGHTS_NAME, start_training, write_results
 from placerec.training.workers import Workers
 
 # ---- The recipe: all that the trainings have in common, and what they differ in. ----
 
-RECIPE = TrainingPlan(
+RECIPE = TrainingConfig(
     covariance=True,
     dimension=512,
     alpha=1.0,
@@ -77,7 +77,7 @@ class PlannedTraining:
     """
 
     name: str
-    plan: TrainingPlan
+    plan: TrainingConfig
     with_xyz: bool = False
     is_start: bool = False
 

@@ -12,10 +12,12 @@ from tqdm import tqdm
 from placerec.commands.data import open_all
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError, deferred_interrupts
-from placerec.training.config import TrainingPlan
+from placerec.training.config import TrainingConfig
 
 if TYPE_CHECKING:
     from placerec.training.loop import Training
+
+_DEFAULTS = TrainingConfig(augment=True)
 
 
 def train(
@@ -26,7 +28,7 @@ def train(
     ],
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    plan: Annotated[TrainingPlan, tyro.conf.arg(name="")],
+    config: Annotated[TrainingConfig, tyro.conf.arg(name="")] = _DEFAULTS,
 ) -> int:
     """Train a recognizer on images of known places; the same command goes on with a stopped one.
 
@@ -40,7 +42,7 @@ def train(
             training. At each recording drawn for a round, each of them has the same chance, and the
             fully connected layer starts from as many images of each.
         out: folder for the results and the checkpoint.
-        plan: what is trained, and how.
+        config: what is trained, and how.
     """
     # Loaded here, because torch takes seconds that the other commands do not need.
     from placerec.training.run import start_training, write_results
@@ -51,16 +53,16 @@ def train(
     collections = [open_all(source, "train") for source in data]
     images, workers = LabelledImages(*collections), Workers()
     with deferred_interrupts() as interrupted:
-        bar = _TrainingBar(plan.steps, interrupted, is_shown=workers.is_first)
+        bar = _TrainingBar(config.steps, interrupted, is_shown=workers.is_first)
         try:
-            training = start_training(plan, images, out, workers, bar.look)
+            training = start_training(config, images, out, workers, bar.look)
             bar.follow(training)
         except KeyboardInterrupt:
             raise RecognizerError(f"stopped; the same command goes on from here: {out}") from None
         finally:
             bar.close()
     if workers.is_first:
-        path = write_results(training, plan, out)
+        path = write_results(training, config, out)
         skipped = sum(len(dataset.skipped) for each in collections for dataset in each)
         print(
             f"the training is over: {training.end}\n"

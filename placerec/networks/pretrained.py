@@ -123,7 +123,7 @@ def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | Non
             f"the download is damaged: its SHA-256 begins {digest[: len(digits[1])]}, "
             f"not {digits[1]}; try again: {url}"
         )
-    _make_folder(path.parent)
+    make_folder(path.parent)
     write_atomically(path, content)
     return path
 
@@ -171,7 +171,12 @@ def _fetch(url: str) -> bytes:
     return content
 
 
-def _make_folder(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
+    """Make a folder and those it lies in.
+
+    Raises:
+        RecognizerError: it cannot be made.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -7,7 +7,7 @@ import torch
 
 from placerec.certificate import Certificate, certificate_of, fingerprint, write_certificate
 from placerec.conformance import check
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError, RecognizerError
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge, whiten
@@ -177,7 +177,7 @@ def test_certificate_that_cannot_be_written_leaves_the_weights_alone(recognizer,
     weights = tmp_path / "w.safetensors"
     save_weights(recognizer.network, weights, 0.25)
     (tmp_path / "w.certificate.json").mkdir()
-    with pytest.raises(RecognizerError, match=r"cannot write w\.certificate\.json"):
+    with pytest.raises(LoopcloseError, match=r"cannot write w\.certificate\.json"):
         keep_calibration(weights, _certificate(recognizer))
     assert LearnedRecognizer(weights).min_similarity == 0.25
 
