@@ -10,7 +10,7 @@ from placerec.networks.pooling import WhitenedLinear
 
 EVENNESS = 0.01
 """Share of the mean variance that is added to each: directions that hardly vary stay weak."""
-COMPONENTS = 768
+_COMPONENTS = 768
 """Directions kept at most, or as many as an embedding has values."""
 
 
@@ -28,7 +28,7 @@ def whiten(network: PlaceNetwork, values: Tensor, seed: int = 0) -> None:
     """
     mean = values.double().mean(dim=0)
     directions, variances = principal_components(
-        values.double() - mean, max(COMPONENTS, network.dimension)
+        values.double() - mean, max(_COMPONENTS, network.dimension)
     )
     strength = (variances + EVENNESS * variances.mean().clamp(min=torch.finfo().tiny)).rsqrt()
     layer = WhitenedLinear(values.shape[1], len(directions), network.dimension)
@@ -54,8 +54,7 @@ def principal_components(centred: Tensor, at_most: int) -> tuple[Tensor, Tensor]
 
     The strongest come first.
     """
-    # By the smaller of the two products.
-    is_wide = centred.shape[1] > len(centred)
+    is_wide = centred.shape[1] > len(centred)  # By the smaller of the two products.
     product = centred @ centred.T if is_wide else centred.T @ centred
     squares, vectors = torch.linalg.eigh(product)
     kept = slice(-min(at_most, len(squares)), None)

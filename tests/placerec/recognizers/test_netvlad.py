@@ -10,7 +10,7 @@ from placerec.certificate import certificate_of
 from placerec.conformance import check
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
-from placerec.networks.preprocessing import IMAGENET_MEAN, IMAGENET_SCALE
+from placerec.networks.preprocessing import TORCHVISION_INPUT
 from placerec.recognizers import netvlad
 from placerec.recognizers.fitted_file import read_fitted, write_fitted
 from placerec.recognizers.netvlad import PUBLISHED, SHIPPED, NetVlad, whitening
@@ -50,7 +50,7 @@ def by_hand(state, image):
     """Return the residuals of the last convolution before its ReLU to the words, by the paper."""
     layers = TRUNKS["vgg16"].layers("conv5_3")[:-1]
     layers.load_state_dict({name[8:]: v for name, v in state.items() if name.startswith("encoder")})
-    values = (image.astype(np.float32) - IMAGENET_MEAN) / IMAGENET_SCALE
+    values = (image.astype(np.float32) - TORCHVISION_INPUT.mean) / TORCHVISION_INPUT.scale
     with torch.inference_mode():
         maps = layers(torch.from_numpy(values.astype(np.float32)).permute(2, 0, 1)[None])[0]
     words = state["pool.centroids"].double().numpy()
