@@ -12,8 +12,8 @@ from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
 from placerec.networks.preprocessing import TORCHVISION_INPUT
 from placerec.recognizers import netvlad
-from placerec.recognizers.fitted_file import read_fitted, write_fitted
-from placerec.recognizers.netvlad import PUBLISHED, SHIPPED, NetVlad, whitening
+from placerec.recognizers.fitted_file import read_fitted, shipped, write_fitted
+from placerec.recognizers.netvlad import PUBLISHED, NetVlad, whitening
 
 SIZE_PX = (64, 48)
 
@@ -169,8 +169,9 @@ def test_without_weights_it_says_what_to_do(machine):
 
 
 def test_what_comes_with_the_package_is_small_and_fits_the_layer():
-    assert SHIPPED.stat().st_size < 1 << 20
-    arrays = read_fitted(SHIPPED, "netvlad").arrays
+    path = shipped("netvlad")
+    assert path.stat().st_size < 1 << 20
+    arrays = read_fitted(path, "netvlad").arrays
     assert arrays["vlad.centroids"].shape == (64, 16)
     assert arrays["local.weight"].shape == (16, 256, 1, 1)
     assert arrays["whitening.weight"].shape == (448, 64 * 16)
