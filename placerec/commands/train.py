@@ -11,14 +11,16 @@ from tqdm import tqdm
 from placerec.commands.data import Data, with_skipped_named
 from placerec.datasets import LabelledImages, open_collection
 from placerec.errors import RecognizerError, deferred_interrupts
-from placerec.training.config import TrainingPlan
+from placerec.training.config import TrainingConfig
+
+_DEFAULTS = TrainingConfig(augment=True)
 
 
 def train(
     data: Data,
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    plan: Annotated[TrainingPlan, tyro.conf.arg(name="")],
+    config: Annotated[TrainingConfig, tyro.conf.arg(name="")] = _DEFAULTS,
 ) -> int:
     """Train a recognizer on images of known places; the same command goes on with a stopped one.
 
@@ -32,7 +34,7 @@ def train(
             training. At each recording drawn for a round, each of them has the same chance, and the
             fully connected layer starts from as many images of each.
         out: folder for the results and the checkpoint.
-        plan: what is trained, and how.
+        config: what is trained, and how.
     """
     # Loaded here, because torch takes seconds that the other commands do not need.
     from placerec.training.run import start_training, write_results
@@ -48,7 +50,7 @@ def train(
     hidden = None if workers.is_first else True
     with (
         deferred_interrupts() as interrupted,
-        tqdm(total=plan.steps, desc="training", unit="step", leave=False, disable=hidden) as bar,
+        tqdm(total=config.steps, desc="training", unit="step", leave=False, disable=hidden) as bar,
     ):
 
         def show(what: str) -> None:
@@ -60,7 +62,7 @@ def train(
             show(f"looking at image {done} of {total}")
 
         try:
-            training = start_training(plan, images, out, workers, look)
+            training = start_training(config, images, out, workers, look)
             # Closed, it writes its checkpoint at once.
             with closing(iter(training)) as records:
                 for record in records:
@@ -73,7 +75,7 @@ def train(
         except KeyboardInterrupt:
             raise RecognizerError(f"stopped; the same command goes on from here: {out}") from None
     if workers.is_first:
-        path = write_results(training, plan, out)
+        path = write_results(training, config, out)
         skipped = sum(len(dataset.skipped) for each in collections for dataset in each)
         print(
             f"the training is over: {training.end}\n"
