@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from placerec.evaluation.report.costs import PAPER, cost_figures, cost_rows
+from placerec.evaluation.report.page import PAPER, cost_figures, cost_rows
 
 
 def named(measured, name, **cost):
