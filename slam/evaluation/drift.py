@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far an estimate is from the truth: ATE, RPE, and which loops were right."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,19 +10,10 @@ from numpy.typing import NDArray
 from slam.config import EvaluationConfig
 from slam.evaluation.trajectory import align, associate, nearest, path_length_m
 from slam.geometry import se3
-from slam.types import (
-    FloatArray,
-    Keyframe,
-    LoopAttempt,
-    SlamError,
-    Trajectory,
-)
+from slam.types import FloatArray, Keyframe, LoopAttempt, SlamError, Trajectory
 
-_MAX_TRUTH_GAP_S = 0.5
-"""Ground truth counts as interrupted where it has no pose for longer than this."""
-
-_MIN_MATCHED_POSES = 3
-"""Fewer positions than this do not fix an alignment in space."""
+_MAX_TRUTH_GAP_S = 0.5  # ground truth without a pose for longer than this counts as interrupted
+_MIN_MATCHED_POSES = 3  # fewer positions do not fix an alignment in space
 
 
 @dataclass(frozen=True)
@@ -60,11 +51,11 @@ class LoopTruth:
             is unknown or the loop was not accepted in the end.
     """
 
-    translation_error_m: float
-    rotation_error_deg: float
-    true_distance_m: float
-    true_angle_deg: float
-    is_false: bool | None
+    translation_error_m: float = np.nan
+    rotation_error_deg: float = np.nan
+    true_distance_m: float = np.nan
+    true_angle_deg: float = np.nan
+    is_false: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -164,12 +155,7 @@ def judge_loops(
         for keyframe, index, known in zip(keyframes, in_truth, is_known, strict=True)
         if known
     }
-    return tuple(
-        _judge(
-            attempt, T_truth_cam.get(attempt.match_id), T_truth_cam.get(attempt.query_id), config
-        )
-        for attempt in attempts
-    )
+    return tuple(_judge(attempt, T_truth_cam, config) for attempt in attempts)
 
 
 def coverage(
@@ -198,18 +184,15 @@ def _sessions(
 
 
 def _judge(
-    attempt: LoopAttempt,
-    T_truth_match: FloatArray | None,
-    T_truth_query: FloatArray | None,
-    config: EvaluationConfig,
+    attempt: LoopAttempt, T_truth_cam: Mapping[int, FloatArray], config: EvaluationConfig
 ) -> LoopTruth:
-    if T_truth_match is None or T_truth_query is None:
-        return LoopTruth(np.nan, np.nan, np.nan, np.nan, None)
-    T_match_query = se3.inverse(T_truth_match) @ T_truth_query
+    if not {attempt.match_id, attempt.query_id} <= T_truth_cam.keys():
+        return LoopTruth()
+    T_match_query = se3.inverse(T_truth_cam[attempt.match_id]) @ T_truth_cam[attempt.query_id]
     distance_m, angle_deg = _size(T_match_query)
     measured = attempt.motion
     if measured is None:
-        return LoopTruth(np.nan, np.nan, distance_m, angle_deg, None)
+        return LoopTruth(true_distance_m=distance_m, true_angle_deg=angle_deg)
     error_m, error_deg = _size(se3.inverse(T_match_query) @ measured.T_ref_query)
     is_off = error_m > config.false_loop_translation_m or error_deg > config.false_loop_rotation_deg
     is_false = is_off if attempt.rejection is None else None
