@@ -17,15 +17,7 @@ from slam.tracking.given_poses import GivenPoses
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
-from slam.types import (
-    Camera,
-    FloatArray,
-    Frame,
-    LoopAttempt,
-    Rejection,
-    SlamError,
-    Trajectory,
-)
+from slam.types import Camera, FloatArray, Frame, LoopAttempt, Rejection, SlamError, Trajectory
 
 
 class Slam:
@@ -47,7 +39,7 @@ class Slam:
         self._front_end: RgbdOdometry | GivenPoses = self._odometry  # where frames come through
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
         self._frames = FrameLog()
-        self._last_s = -np.inf
+        self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
         self._session_starts_s: list[float] = []
 
@@ -55,10 +47,6 @@ class Slam:
     def has_keyframes(self) -> bool:
         """Whether there is anything to finish."""
         return not self._back_end.is_empty
-
-    @property
-    def _has_begun(self) -> bool:
-        return self._last_s > -np.inf
 
     def process(self, frame: Frame) -> TrackedFrame | Rejection:
         """Take the next frame of the camera and return where it was placed, or why it was not.
@@ -80,7 +68,7 @@ class Slam:
 
         Loops tell how the sessions lie to each other. The camera stays the same, and time goes on.
         """
-        self._is_new_session = self._has_begun
+        self._is_new_session = self._last_s > -np.inf
         self._odometry.start_session()
         self._given_poses.start_session()
 
@@ -99,11 +87,10 @@ class Slam:
         return self._back_end.settle()
 
     def _enter(self, front_end: RgbdOdometry | GivenPoses, frame: Frame) -> None:
-        if self._has_begun and front_end is not self._front_end:
-            raise SlamError(
-                f"this run goes through {self._front_end.door}; start another Slam for"
-                f" {front_end.door}"
-            )
+        if self._last_s > -np.inf and front_end is not self._front_end:
+            doors = ("process", "add_keyframe")
+            begun, other = doors if self._front_end is self._odometry else doors[::-1]
+            raise SlamError(f"this run goes through {begun}; start another Slam for {other}")
         self._front_end, self._last_s = front_end, frame.timestamp_s
         if self._is_new_session:
             self._session_starts_s.append(frame.timestamp_s)
@@ -154,10 +141,11 @@ class Slam:
                 " scale and the images, or lower --odometry.min-inliers"
             )
         loops = self._back_end.solve(self._frames.per_keyframe())
-        T_world_kf, the_map = loops.T_world_kf, self._front_end.map
+        T_world_kf = loops.T_world_kf
         unadjusted: tuple[str, ...] = ()
-        if the_map is not None:
+        if self._front_end is self._odometry:
             self._odometry.settle()
+            the_map = self._odometry.map
             keyframes = at_tracked_poses(the_map, keyframes)
             unadjusted = size_warning(len(keyframes))
             if not unadjusted:
@@ -166,7 +154,8 @@ class Slam:
         keyframes = in_one_odometry_frame(keyframes, loops.links)
         has_place = np.isfinite(T_world_kf)
         T_odom_kf = np.array([each.T_odom_cam for each in keyframes])
-        calibration = self._back_end.calibration()
+        loop_closer = self._back_end.loop_closer
+        calibration = loop_closer.calibration()
         return SlamResult(
             camera=self._camera,
             keyframes=keyframes,
@@ -176,7 +165,7 @@ class Slam:
             links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
-            min_similarity=self._back_end.min_similarity,
+            min_similarity=loop_closer.min_similarity,
             untracked_s=self._frames.untracked_s(T_world_kf),
             stage_seconds=dict(self.clock.seconds),
             warnings=(

@@ -72,7 +72,7 @@ class Atlas:
     def finish(self, frames: Mapping[int, int]) -> AtlasSolution:
         """Solve the submap with the most frames, the earlier of equals; frames are per keyframe."""
         submaps = self._submaps()
-        largest = _largest(submaps, frames)
+        largest = max(submaps, key=lambda submap: submap.size(frames))
         solution = self._graph(largest).finish()
         T_world_kf = np.full((len(self._keyframes), 4, 4), np.nan)
         T_world_kf[list(largest.T_submap_kf)] = solution.T_world_kf
@@ -92,7 +92,8 @@ class Atlas:
         """
         if not self._keyframes:
             raise SlamError("there is no keyframe yet that a correction could be known of")
-        largest, newest = _largest(self._submaps(), frames), self._keyframes[-1]
+        newest = self._keyframes[-1]
+        largest = max(self._submaps(), key=lambda submap: submap.size(frames))
         if newest.id not in largest.T_submap_kf:
             raise SlamError(
                 "the camera was lost or began a new session, and so far no two loops agree where"
@@ -164,7 +165,3 @@ def in_one_odometry_frame(
         else each
         for each in keyframes
     )
-
-
-def _largest(submaps: Sequence[Submap], frames: Mapping[int, int]) -> Submap:
-    return max(submaps, key=lambda submap: submap.size(frames))

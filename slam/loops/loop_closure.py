@@ -54,13 +54,9 @@ class LoopCloser:
     ) -> tuple[LoopAttempt, ...]:
         """Remember a keyframe and return what became of every earlier one that resembles it.
 
-        Args:
-            keyframe: the new one.
-            embedding: as `describe` returned it.
-            linked_ids: keyframes whose motion to it is known already: however long ago they were
-                seen, a camera that stood still closes no loop.
-
-        Of another segment every keyframe is a candidate, for nothing else tells where that lies.
+        The motions from keyframes with linked_ids are known already: however long ago they were
+        seen, a camera that stood still closes no loop. Of another segment every keyframe is a
+        candidate, for nothing else tells where that lies.
 
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
@@ -117,16 +113,9 @@ class LoopCloser:
         verification = estimate_relative_pose(
             match.features, query.features, self._camera, self._verification_config
         )
-        outcome = self._judge(verification.outcome, match, query)
+        outcome, limit_m = verification.outcome, self._verification_config.max_uncertainty_m
+        if isinstance(outcome, RelativePose):
+            outcome = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
+            if (sigma_m := translation_sigma_m(outcome)) > limit_m:
+                outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
         return LoopAttempt(query.id, match.id, similarity, verification, outcome)
-
-    def _judge(
-        self, outcome: RelativePose | Rejection, match: Keyframe, query: Keyframe
-    ) -> RelativePose | Rejection:
-        if isinstance(outcome, Rejection):
-            return outcome
-        motion = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
-        sigma_m, limit_m = translation_sigma_m(motion), self._verification_config.max_uncertainty_m
-        if sigma_m > limit_m:
-            return Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
-        return motion
