@@ -67,7 +67,10 @@ class FeatureExtractor:
             keypoints, descriptors = [], np.zeros((0, 32))
         pixels = _pixels(keypoints)
         undistorted_px = undistort(pixels, self._camera)
-        depth_m = _depth_at(pixels, frame.depth_m, self._config.max_depth_m)
+        u, v = np.rint(pixels).astype(np.int64).T
+        depth_m = frame.depth_m[v, u].astype(np.float64)
+        is_usable = (depth_m > 0.0) & (depth_m <= self._config.max_depth_m)
+        depth_m = np.where(is_usable, depth_m, np.nan)
         return Features(
             pixels=pixels,
             undistorted_px=undistorted_px,
@@ -106,12 +109,6 @@ def back_project(undistorted_px: FloatArray, depth_m: FloatArray, camera: Camera
 
 def _pixels(keypoints: Any) -> FloatArray:
     return np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64).reshape(-1, 2)
-
-
-def _depth_at(pixels: FloatArray, depth_image_m: NDArray[np.float32], max_m: float) -> FloatArray:
-    u, v = np.rint(pixels).astype(np.int64).T
-    depth_m = depth_image_m[v, u].astype(np.float64)
-    return np.where((depth_m > 0.0) & (depth_m <= max_m), depth_m, np.nan)
 
 
 def _spread(keypoints: Any, count: int) -> NDArray[np.int64]:

@@ -91,14 +91,6 @@ class _View:
     def select(self, mask: NDArray[np.bool_]) -> "_View":
         return _View(self.points_other_m[mask], self.measured.select(mask))
 
-    def residuals(
-        self, T_this_other: FloatArray, camera: Camera
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return whitened residuals (M, 3), their derivative (M, 3, 3) by the point, the points."""
-        points_m = se3.transform(T_this_other, self.points_other_m)
-        residuals, derivative = self.measured.residuals(points_m, camera)
-        return residuals, derivative, points_m
-
 
 @dataclass(frozen=True)
 class Correspondences:
@@ -139,8 +131,9 @@ def residual_lengths(
     T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
 ) -> FloatArray:
     """Return (M,) lengths of the pixel residuals in the query's image, in standard deviations."""
-    T_query_ref = se3.inverse(T_ref_query)
-    residuals, _, points_m = correspondences.query_view.residuals(T_query_ref, camera)
+    view = correspondences.query_view
+    points_m = se3.transform(se3.inverse(T_ref_query), view.points_other_m)
+    residuals, _ = view.measured.residuals(points_m, camera)
     return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals[:, :2], axis=1), np.inf)
 
 
@@ -148,16 +141,17 @@ def _motion_equations(
     correspondences: Correspondences, camera: Camera, T_ref_query: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     R_ref_query = T_ref_query[:3, :3]
-    T_query_ref = se3.inverse(T_ref_query)
     query, reference = correspondences.query_view, correspondences.reference_view
 
     # p_query = exp(-xi) T_query_ref p_ref, so d p_query = p_query x omega - v
-    residuals, by_point, points_m = query.residuals(T_query_ref, camera)
+    points_m = se3.transform(se3.inverse(T_ref_query), query.points_other_m)
+    residuals, by_point = query.measured.residuals(points_m, camera)
     J = _chain(by_point, se3.skew(points_m), -np.eye(3))
     hessian, gradient = _weighted(residuals, J)
 
     # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
-    residuals, by_point, _ = reference.residuals(T_ref_query, camera)
+    points_m = se3.transform(T_ref_query, reference.points_other_m)
+    residuals, by_point = reference.measured.residuals(points_m, camera)
     J = _chain(by_point, -R_ref_query @ se3.skew(reference.points_other_m), R_ref_query)
     more_hessian, more_gradient = _weighted(residuals, J)
     # A trace of curvature keeps the step finite where few matches leave a direction open.

@@ -95,7 +95,7 @@ def robust_weights(residuals: FloatArray) -> FloatArray:
     """Return the weights (M, 3), 0 to 1, that make the squares of residuals grow as their costs."""
     weights = np.empty_like(residuals)
     pixel_weights = np.minimum(1.0, _HUBER / np.maximum(_pixel_lengths(residuals), 1e-12))
-    weights[:, 0], weights[:, 1] = pixel_weights, pixel_weights
+    weights[:, :2] = pixel_weights[:, None]
     weights[:, 2] = 1.0 / (1.0 + (residuals[:, 2] / _CAUCHY) ** 2)
     return weights
 
