@@ -88,16 +88,15 @@ class PoseGraph:
             ValueError: a keyframe of it is not in the graph, or neither is connected to the first.
         """
         factor = self._factor(link.ref_id, link.query_id, link.motion)
-        motion = factor.measured()
         has_ref, has_query = self._chain.exists(link.ref_id), self._chain.exists(link.query_id)
         if has_ref and has_query:
             self._side_links.append(factor)
             self._side_weights.append(1.0)  # until it is weighed
         elif has_ref or has_query:
             self._odometry.add(factor)
-            old_id, new_id, step = link.ref_id, link.query_id, motion
+            old_id, new_id, step = link.ref_id, link.query_id, factor.measured()
             if has_query:
-                old_id, new_id, step = link.query_id, link.ref_id, motion.inverse()
+                old_id, new_id, step = new_id, old_id, step.inverse()
             self._chain.insert(new_id, self._chain.atPose3(old_id).compose(step))
         else:
             raise ValueError(

@@ -68,8 +68,8 @@ def _graduate(
 ) -> RobustSolution:
     # Start from what is believed: a first least-squares fit to everything, false loops included,
     # would bend the map beyond recognition.
-    weights = np.ones(graph.size())
-    weights[list(doubted)] = 0.0
+    is_doubted = np.isin(np.arange(graph.size()), list(doubted))
+    weights = np.where(is_doubted, 0.0, 1.0)
     params = gtsam.GncLMParams()
     params.setScheduler(schedule)
     params.setKnownInliers(np.flatnonzero(weights).tolist())
@@ -80,7 +80,6 @@ def _graduate(
     weights = np.asarray(optimizer.getWeights(), dtype=np.float64)
     errors = factor_errors(graph, values)
     limits = np.asarray(optimizer.getInlierCostThresholds())
-    is_doubted = np.isin(np.arange(graph.size()), list(doubted))
     if not weights[is_doubted].any() and (errors <= limits)[is_doubted].all():
         # Where the odometry contradicts nothing, GNC stops at once with the weights it was given.
         weights = np.ones(graph.size())
