@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.config import EvaluationConfig
 from slam.evaluation.trajectory import align, associate, nearest, path_length_m
@@ -89,15 +88,30 @@ def trajectory_error(
         SlamError: fewer than three poses match; the message tells the closest time gap.
     """
     tolerance_s = config.max_time_difference_s
+    if len(estimate) == 0 or len(truth) == 0:
+        raise SlamError(
+            "the estimate or the ground truth holds no poses; there is nothing to compare"
+        )
     in_estimate, in_truth = associate(estimate, truth, tolerance_s)
     if len(in_estimate) < _MIN_MATCHED_POSES:
-        raise SlamError(_too_few_matches(len(in_estimate), estimate, truth, tolerance_s))
+        closest = nearest(truth.timestamps_s, estimate.timestamps_s)
+        gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
+        raise SlamError(
+            f"only {len(in_estimate)} of {len(estimate)} poses have ground truth in time, "
+            f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
+            f"{tolerance_s:g} s; check that both use one clock, or raise "
+            "evaluation.max_time_difference_s"
+        )
     T_world_cam, T_truth_cam = estimate.T_world_cam[in_estimate], truth.T_world_cam[in_truth]
     T_truth_world = align(T_world_cam[:, :3, 3], T_truth_cam[:, :3, 3])
     aligned_m = se3.transform(T_truth_world, T_world_cam[:, :3, 3])
     position_errors_m = np.linalg.norm(aligned_m - T_truth_cam[:, :3, 3], axis=1)
     stamps_s = estimate.timestamps_s[in_estimate]
-    first, second = _interval_pairs(stamps_s, config.rpe_interval_s, tolerance_s)
+    interval_s = config.rpe_interval_s
+    first, second = np.arange(len(stamps_s)), nearest(stamps_s, stamps_s + interval_s)
+    is_pair = np.abs(stamps_s[second] - stamps_s - interval_s) <= tolerance_s
+    is_pair &= second > first
+    first, second = first[is_pair], second[is_pair]
     T_true = se3.inverse(T_truth_cam[first]) @ T_truth_cam[second]
     T_measured = se3.inverse(T_world_cam[first]) @ T_world_cam[second]
     error = se3.inverse(T_true) @ T_measured
@@ -205,28 +219,3 @@ def _size(T_a_b: FloatArray) -> tuple[float, float]:
 
 def _root_mean_square(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
-
-
-def _interval_pairs(
-    stamps_s: FloatArray, interval_s: float, tolerance_s: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    first = np.arange(len(stamps_s), dtype=np.int64)
-    second = nearest(stamps_s, stamps_s + interval_s)
-    is_near = np.abs(stamps_s[second] - stamps_s - interval_s) <= tolerance_s
-    is_pair = is_near & (second > first)
-    return first[is_pair], second[is_pair]
-
-
-def _too_few_matches(
-    count: int, estimate: Trajectory, truth: Trajectory, tolerance_s: float
-) -> str:
-    if len(estimate) == 0 or len(truth) == 0:
-        return "the estimate or the ground truth holds no poses; there is nothing to compare"
-    closest = nearest(truth.timestamps_s, estimate.timestamps_s)
-    gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
-    return (
-        f"only {count} of {len(estimate)} poses have ground truth in time, "
-        f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
-        f"{tolerance_s:g} s; check that both use one clock, or raise "
-        "evaluation.max_time_difference_s"
-    )
