@@ -109,7 +109,7 @@ class BackEnd:
         """
         self.settle()
         with self._clock.stage("graph"):
-            return self._atlas.T_world_odom(self._counted(frames))
+            return self._atlas.T_world_odom(frames)
 
     def solve(self, frames: Mapping[int, int] | None = None) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
@@ -121,7 +121,7 @@ class BackEnd:
         """
         self.settle()
         with self._clock.stage("graph"):
-            solution = self._atlas.finish(self._counted(frames))
+            solution = self._atlas.finish(frames)
         attempts = tuple(
             _in_the_end(attempt, solution.weights.get(key), solution.unjoined.get(key))
             for key, attempt in enumerate(self._attempts)
@@ -138,9 +138,6 @@ class BackEnd:
         except RecognizerError:
             self._queue.clear()  # they end the same way, which nobody has to hear twice
             raise
-
-    def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
-        return dict.fromkeys(range(len(self.keyframes)), 1) if frames is None else frames
 
     def _take(
         self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]

@@ -38,9 +38,9 @@ class Submap:
         """The keyframe that came first."""
         return next(iter(self.T_submap_kf))
 
-    def size(self, frames: Mapping[int, int]) -> int:
-        """Return how many frames it has, given how many there are per keyframe id."""
-        return sum(frames.get(k, 0) for k in self.T_submap_kf)
+    def size(self, frames: Mapping[int, int] | None) -> int:
+        """Return how many frames it has, given how many there are per keyframe id; default: one."""
+        return sum(1 if frames is None else frames.get(k, 0) for k in self.T_submap_kf)
 
     def places(self, keyframe_ids: Iterable[int]) -> FloatArray:
         """Return (N, 4, 4), where keyframes are in it."""
