@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from placerec.errors import RecognizerError
@@ -9,7 +11,7 @@ from slam.config import Config
 from slam.loops.atlas import in_one_odometry_frame
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.map_adjustment import adjust_with_loops, at_tracked_poses, size_warning
+from slam.mapping.map_adjustment import adjust_with_loops, size_warning
 from slam.result import SlamResult
 from slam.stage_clock import StageClock
 from slam.tracking.frame_log import FrameLog, check_frame, checked_pose
@@ -133,7 +135,14 @@ class Slam:
             SlamError: no frame could be tracked.
             RecognizerError: the recognizer failed on the first keyframe.
         """
-        failures = self._last_failure()
+        left_out: tuple[str, ...] = ()
+        try:
+            self._back_end.settle()
+        except RecognizerError as error:
+            if not self._back_end.keyframes:
+                raise
+            first = len(self._back_end.keyframes)
+            left_out = (f"all from keyframe {first} on is left out: {error}",)
         keyframes = tuple(self._back_end.keyframes)
         if not keyframes:
             raise SlamError(
@@ -146,7 +155,9 @@ class Slam:
         if self._front_end is self._odometry:
             self._odometry.settle()
             the_map = self._odometry.map
-            keyframes = at_tracked_poses(the_map, keyframes)
+            keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
+                replace(each, T_odom_cam=the_map.keyframes[each.id].T_map_cam) for each in keyframes
+            )
             unadjusted = size_warning(len(keyframes))
             if not unadjusted:
                 with self.clock.stage("adjust"):
@@ -169,7 +180,7 @@ class Slam:
             untracked_s=self._frames.untracked_s(T_world_kf),
             stage_seconds=dict(self.clock.seconds),
             warnings=(
-                *failures,
+                *left_out,
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
@@ -180,16 +191,6 @@ class Slam:
             session_starts_s=np.array(self._session_starts_s),
             elapsed_s=self.clock.elapsed_s,
         )
-
-    def _last_failure(self) -> tuple[str, ...]:
-        try:
-            self._back_end.settle()
-        except RecognizerError as error:
-            if not self._back_end.keyframes:
-                raise
-            left_out = f"all from keyframe {len(self._back_end.keyframes)} on"
-            return (f"{left_out} is left out: {error}",)
-        return ()
 
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
         trajectory = self._frames.trajectory(T_any_kf)
