@@ -20,14 +20,24 @@ import tempfile
 from collections import Counter
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("tracking", "mapping", "loops", "pose_graph", "geometry", "evaluation")
 KILLED = ("killed", "timeout", "segfault")
 
 
-def pytest_collection_modifyitems(items):
-    """Let what needs the rendered recording come last: here this file is a plug-in of pytest."""
+def pytest_configure() -> None:
+    """Try the same examples every time, and lose no time on the simplest: a plug-in of pytest."""
+    from hypothesis import Phase, settings
+
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile("mutants", derandomize=True, database=None, phases=phases)
+    settings.load_profile("mutants")
+
+
+def pytest_collection_modifyitems(items: list[Any]) -> None:
+    """Let the quick tests come first, and last those that need the rendered recording."""
     stats = Path("mutmut-stats.json")
     took_s = json.loads(stats.read_text())["duration_by_test"] if stats.exists() else {}
     items.sort(key=lambda item: ("recording" in item.fixturenames, took_s.get(item.nodeid, 0.0)))
