@@ -56,6 +56,7 @@ def test_the_first_frame_is_keyframe_0_at_the_origin(tracked, frames):
     first = tracked[0].new_keyframe
     assert first.id == tracked[0].keyframe_id == 0 and first.timestamp_s == frames[0].timestamp_s
     np.testing.assert_array_equal(first.T_odom_cam, np.eye(4))
+    np.testing.assert_array_equal(tracked[0].T_kf_cam, np.eye(4))
     assert tracked[0].links == () and first.turning_rad_s == 0.0
 
 
