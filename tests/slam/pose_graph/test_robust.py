@@ -95,10 +95,10 @@ def test_a_wrong_answer_is_contested() -> None:
     ("is_kept", "first", "second", "is_contested"),
     [
         (True, 0.5, 4.1, True),
-        (True, 0.5, 3.9, False),
+        (True, 0.5, 4.0, False),
         (False, 4.1, 0.9, True),
-        (False, 3.9, 0.9, False),
-        (False, 4.1, 1.1, False),
+        (False, 4.0, 0.9, False),
+        (False, 4.1, 1.0, False),
     ],
 )
 def test_contested_is_what_one_believes_and_the_other_sees_clearly_out(

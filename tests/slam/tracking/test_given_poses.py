@@ -8,9 +8,7 @@ from slam.tracking.given_poses import GivenPoses
 from slam.types import Camera, Frame
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
-CONFIG = Config(
-    graph=GraphConfig(outside_rotation_sigma_deg=2.0, outside_translation_sigma_m=0.05)
-)
+CONFIG = Config(graph=GraphConfig(outside_rotation_sigma_deg=2.0, outside_translation_sigma_m=0.05))
 RGB = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
 TURNED = se3.exp(np.array([0.0, 0.3, 0.0, 0.1, 0.2, 0.3]))
 
