@@ -134,7 +134,8 @@ def _record(loop: Decision, min_similarity: float) -> LoopRecord:
     truth = None
     if loop.truth is not None and not math.isnan(loop.truth.true_distance_m):
         *errors, is_false = astuple(loop.truth)
-        truth = TruthRecord(*map(_number, errors), is_false)
+        far_m, far_deg, apart_m, apart_deg = map(_number, errors)
+        truth = TruthRecord(far_m, far_deg, apart_m, apart_deg, is_false)
     return LoopRecord(
         query_id=int(attempt.query_id),
         match_id=int(attempt.match_id),
