@@ -33,8 +33,7 @@ from placerec.errors import deferred_interrupts
 from placerec.recognizer import load
 from slam.config import Config, InputConfig
 from slam.datasets import open_sequence, resolve
-from slam.demo.drive import LAP_S, drive
-from slam.demo.room import build_room, render
+from slam.demo import LAP_S, build_room, drive, render
 from slam.output.run_folder import make_run_folder, write_run
 from slam.result import SlamResult
 from slam.system import Slam

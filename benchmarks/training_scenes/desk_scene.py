@@ -8,8 +8,7 @@ import numpy as np
 from slam.demo import furniture, textures, wall_pictures
 from slam.demo.layout import wall_frame
 from slam.demo.panels import Panel, Point, box, panel, turned
-from slam.demo.textures import Material
-from slam.demo.wall_pictures import colour_of
+from slam.demo.textures import Material, colour_of
 from slam.geometry.se3 import from_rotation_translation
 from slam.types import FloatArray
 
