@@ -30,8 +30,7 @@ from slam.demo import furniture, textures, wall_pictures
 from slam.demo.layout import furnished_room, wall_frame
 from slam.demo.panels import Panel, Point, box, light, panel, turned
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
-from slam.demo.textures import Material
-from slam.demo.wall_pictures import colour_of
+from slam.demo.textures import Material, colour_of
 from slam.geometry.se3 import from_rotation_translation
 from slam.types import FloatArray
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from slam.datasets import write_camera
-from slam.demo.drive import drive
-from slam.demo.room import Room, build_room, render
+from slam.demo import build_room, drive, render
+from slam.demo.room import Room
 from slam.geometry.se3 import to_quaternion
 from slam.types import Camera, FloatArray
 
