@@ -37,10 +37,6 @@ class LearnedRecognizer:
         trained_on: names of datasets, as far as known: of the default weights.
     """
 
-    min_similarity: float
-    weights: str
-    trained_on: tuple[str, ...]
-
     def __init__(
         self, path: Path = DEFAULT_WEIGHTS, trunks: Iterable[Trunk] = tuple(TRUNKS.values())
     ) -> None:
@@ -56,10 +52,10 @@ class LearnedRecognizer:
             )
         self.network, self.min_similarity = load_weights(path, trunks)
         self._path = path
-        own = path == DEFAULT_WEIGHTS
-        title = "those of the package" if own else path.name
+        is_default = path == DEFAULT_WEIGHTS
+        title = "those of the package" if is_default else path.name
         self.weights = f"{self.network.title}, trained for places: {title}"
-        self.trained_on = _TRAINED_ON if own else ()
+        self.trained_on: tuple[str, ...] = _TRAINED_ON if is_default else ()
 
     @cached_property
     def fingerprint(self) -> str:
@@ -134,11 +130,6 @@ class Triplet(LearnedRecognizer):
     """The default network, trained with eq. 2 on the same images for as many steps."""
 
     def __init__(self, path: Path = TRIPLET_WEIGHTS) -> None:
-        """Read the weights.
-
-        Raises:
-            RecognizerError: they are missing, are damaged, or do not fit.
-        """
         if not path.exists():
             raise RecognizerError(
                 "the default network's twin is not installed; make it with `python"
