@@ -113,11 +113,11 @@ class PlaceNetwork(nn.Module):
 
     def _try_out(self) -> Tensor:
         """Return the maps of an empty image."""
-        size = (self.preprocessing.height_px, self.preprocessing.width_px)
-        where = f"trunk {self.trunk.name!r} at {size[1]} x {size[0]} px"
+        height, width = self.preprocessing.height_px, self.preprocessing.width_px
+        where = f"trunk {self.trunk.name!r} at {width} x {height} px"
         try:
             with torch.no_grad():
-                maps: object = self.features(torch.zeros(1, 3, *size))
+                maps: object = self.features(torch.zeros(1, 3, height, width))
         except RuntimeError as error:
             what = " ".join(str(error).split())
             raise RecognizerError(f"{where} does not run, try larger images: {what}") from error

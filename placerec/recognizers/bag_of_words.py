@@ -85,12 +85,12 @@ def _k_majority(
 ) -> tuple[Descriptors, NDArray[np.int64]]:
     """Return (count, B) middles, some of them equal where there is little to divide, and (N,)."""
     middles = _scattered(descriptors, count, rng)
-    nearest = _nearest(descriptors, middles)
+    nearest = VocabularyTree((middles[None],))(descriptors)
     bits = np.unpackbits(descriptors, axis=1)
     for _ in range(_ROUNDS):
         for k in np.unique(nearest):
             middles[k] = np.packbits(2 * bits[nearest == k].mean(axis=0) > 1.0)
-        before, nearest = nearest, _nearest(descriptors, middles)
+        before, nearest = nearest, VocabularyTree((middles[None],))(descriptors)
         if np.array_equal(before, nearest):
             break
     return middles, nearest
@@ -106,11 +106,6 @@ def _scattered(descriptors: Descriptors, count: int, rng: np.random.Generator) -
         chosen.append(min(int(drawn), len(descriptors) - 1))
         distances = np.minimum(distances, _hamming(descriptors, descriptors[chosen[-1:]]))
     return descriptors[chosen]
-
-
-def _nearest(descriptors: Descriptors, middles: Descriptors) -> NDArray[np.int64]:
-    chunks = (descriptors[i : i + CHUNK, None] for i in range(0, len(descriptors), CHUNK))
-    return np.concatenate([_hamming(chunk, middles).argmin(axis=1) for chunk in chunks])
 
 
 def _hamming(a: Descriptors, b: Descriptors) -> NDArray[np.int64]:

@@ -49,10 +49,6 @@ class Layer:
         width_px, height_px = self.size_px
         return f"{self.trunk.name} {self.block} at {width_px}x{height_px} px"
 
-    def find(self) -> Path | None:
-        """Return its file of weights, None where it is not on this machine."""
-        return find_pretrained(self.file or self.trunk.name)
-
 
 class FeatureMaps:
     """Images in, maps out; on the CPU, and safe to use by threads.
@@ -104,32 +100,28 @@ def find_maps(layers: Sequence[Layer]) -> FeatureMaps:
     Raises:
         RecognizerError: there are none of any, or those found cannot be used.
     """
-    for layer in layers:
-        if path := layer.find():
+    names = [layer.file or layer.trunk.name for layer in layers]
+    for layer, name in zip(layers, names, strict=True):
+        if path := find_pretrained(name):
             return FeatureMaps(layer, path)
-    files = " or ".join(dict.fromkeys(layer.file or layer.trunk.name for layer in layers))
     raise RecognizerError(
-        f"there is no file of published weights whose name begins with {files} ("
+        "there is no file of published weights whose name begins with "
+        f"{' or '.join(dict.fromkeys(names))} ("
         f"{', '.join(sorted(SUFFIXES))}); put it into the folder that the environment variable "
         f"{FOLDER_VARIABLE} names, or into {weights_folders()[-1]}"
     )
 
 
 class FittedToMaps(FittedRecognizer):
-    """What recognizers have in common whose file goes with the maps of one of some layers.
+    """What recognizers have in common whose file goes with a published layer's maps.
 
     Attributes:
-        layers: these, the best first.
+        layers: of these the file goes with one; the best first.
     """
 
     layers: ClassVar[tuple[Layer, ...]]
 
     def __init__(self, path: Path | None = None) -> None:
-        """Read what was learned, by default what comes with the package, and published weights.
-
-        Raises:
-            RecognizerError: one of them is missing, or they do not fit.
-        """
         super().__init__(path)
         facts = self._fitted.facts
         layers = [layer for layer in self.layers if layer.title == facts.get("layer")]

@@ -78,25 +78,23 @@ class LearnedRecognizer:
         return certificate
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the (D,) float32 unit-length embedding of an image of any size.
+        """Return the (D,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image of any size.
 
-        Args:
-            image: uint8, (H, W, 3) RGB; grey (H, W) and (H, W, 4) with alpha are taken too.
+        Grey (H, W) and (H, W, 4) with alpha are taken too.
 
         Raises:
             RecognizerError: it is no such image.
         """
         with one_thread(), torch.inference_mode():
-            embedding: NDArray[np.float32] = self.network(self.network.prepare([image]))[0].numpy()
-        return embedding
+            return np.asarray(self.network(self.network.prepare([image]))[0], np.float32)
 
     def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Return the (N, D) float32 embeddings of N images, several to a forward pass."""
-        starts = range(0, len(images), _FRAMES_PER_PASS)
         rows = [np.empty((0, self.network.dimension), np.float32)]
         with torch.inference_mode():
-            for frames in (images[i : i + _FRAMES_PER_PASS] for i in starts):
-                rows.append(self.network(self.network.prepare(frames)).numpy())
+            for start in range(0, len(images), _FRAMES_PER_PASS):
+                frames = self.network.prepare(images[start : start + _FRAMES_PER_PASS])
+                rows.append(self.network(frames).numpy())
         return np.concatenate(rows)
 
     def embed_place(self, frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
 from placerec.networks.pooling import Vlad
 from placerec.networks.preprocessing import one_thread
-from placerec.networks.pretrained import read_weights
+from placerec.networks.pretrained import find_pretrained, read_weights
 from placerec.networks.vgg16 import VGG16
 from placerec.networks.whitening import principal_components, whitened_components
 from placerec.recognizers.feature_maps import FeatureMaps, FittedToMaps, Layer, find_maps
@@ -63,7 +63,7 @@ class NetVlad(FittedToMaps):
         Raises:
             RecognizerError: what is needed is missing, or does not fit.
         """
-        published = _PUBLISHED.find() if path is None else None
+        published = find_pretrained("netvlad") if path is None else None
         if published:
             self._path, self._fitted, self.trained_on = None, Fitted({}), ()
             self._maps = FeatureMaps(self.layers[0], published)
@@ -98,8 +98,7 @@ class NetVlad(FittedToMaps):
         """Return the (D,) float32 unit-length embedding of a uint8 RGB image of any size."""
         maps = torch.from_numpy(self._maps(image))[None]
         with one_thread(), torch.inference_mode():
-            embedding: NDArray[np.float32] = self._head(maps)[0].numpy()
-        return embedding
+            return np.asarray(self._head(maps)[0], np.float32)
 
 
 class _Head(nn.Module):
@@ -129,7 +128,7 @@ class _Head(nn.Module):
 
 
 def _published_head() -> dict[str, Tensor]:
-    path = _PUBLISHED.find()
+    path = find_pretrained("netvlad")
     in_file = read_weights(path) if path else {}
     try:
         conv, centroids = in_file["pool.conv.weight"], in_file["pool.centroids"]

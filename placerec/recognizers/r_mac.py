@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 
 from placerec.checked_recognizer import Embeddings, Similarities
 from placerec.networks import TRUNKS
-from placerec.recognizers.feature_maps import (
-    TINY,
-    FittedToMaps,
-    FloatArray,
-    Layer,
-    find_maps,
-    unit_rows,
-)
+from placerec.recognizers.feature_maps import FittedToMaps, FloatArray, Layer, find_maps, unit_rows
 from placerec.recognizers.fitted_file import Fitted
 
 _SCALES = 3
@@ -109,7 +102,7 @@ def principal_components(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean = rows.mean(axis=0, dtype=np.float64)
     centred = rows - mean
     variances, directions = np.linalg.eigh(centred.T @ centred / len(rows))
-    variances = np.maximum(variances, 0.0) + EVENNESS * max(float(variances.mean()), TINY)
+    variances = np.maximum(variances, 0.0) + EVENNESS * max(float(variances.mean()), 1e-12)
     order = np.argsort(-variances)
     whitening = (directions / np.sqrt(variances)).T[order]
     return mean.astype(np.float32), whitening.astype(np.float32)

@@ -80,8 +80,7 @@ def salient_regions(maps: FloatArray, count: int = _REGIONS) -> FloatArray:
     members = np.flatnonzero(rank[flat] < len(salient))
     masks = np.zeros((len(salient), channel_px), np.float32)
     masks[rank[flat[members]], members % channel_px] = 1.0
-    sums: FloatArray = masks @ maps.reshape(len(maps), channel_px).T
-    return unit_rows(sums)
+    return unit_rows(masks @ maps.reshape(len(maps), channel_px).T)
 
 
 def residuals(regions: FloatArray, words: FloatArray) -> FloatArray:

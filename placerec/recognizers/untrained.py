@@ -39,8 +39,7 @@ class UntrainedLayer(FittedToMaps):
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
         """Return the layer's mean over images; nothing is drawn."""
         maps = find_maps(cls.layers)
-        total = np.zeros((), np.float64)
-        count = 0
+        total, count = np.zeros((), np.float64), 0
         for image in images:
             total = total + maps(image)
             count += 1
@@ -49,5 +48,4 @@ class UntrainedLayer(FittedToMaps):
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of a uint8 RGB image of any size."""
         values = (self._maps(image) - self._mean).ravel()
-        embedding: NDArray[np.float32] = values / np.linalg.norm(values)
-        return embedding
+        return np.asarray(values / np.linalg.norm(values), np.float32)

@@ -109,9 +109,8 @@ def read_checkpoint(path: Path, settings: dict[str, str]) -> Checkpoint:
             loaded = torch.load(content, map_location="cpu", weights_only=True)
         checkpoint = Checkpoint(**loaded)
     except Exception as error:  # torch raises many kinds for a damaged file
-        raise RecognizerError(
-            f"the checkpoint is damaged; remove it to start anew: {path}"
-        ) from error
+        what = "the checkpoint is damaged; remove it to start anew"
+        raise RecognizerError(f"{what}: {path}") from error
     for name in sorted(settings.keys() | checkpoint.settings.keys()):
         now, then = settings.get(name, "unset"), checkpoint.settings.get(name, "unset")
         if now != then:

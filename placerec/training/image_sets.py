@@ -16,7 +16,6 @@ GAMMA_PRIME = 0.4
 _BLOCK = 256
 
 Indices = NDArray[np.int64]
-Features = NDArray[np.float32]
 BoolMatrix = NDArray[np.bool_]
 
 
@@ -54,7 +53,7 @@ class SetRules:
 
 
 def build_image_sets(
-    features: Features,
+    features: NDArray[np.float32],
     places: Indices,
     rng: np.random.Generator,
     rules: SetRules | None = None,
@@ -95,7 +94,10 @@ def build_image_sets(
             if len(negatives) == 0 and len(positives) == 0:
                 continue  # neither line 12 nor line 18 holds: there is nothing to learn here
             positives = _fill_positives(positives, own, rules.positives, rng)
-            negatives = _fill_negatives(negatives, unlike, places, rules.negatives, rng, alike)
+            if missing := rules.negatives - len(negatives):  # 12-14
+                unused = unlike[~np.isin(places[unlike], places[negatives])]
+                added = _draw_places(unused, places, missing, rng, alike, negatives.tolist())
+                negatives = np.concatenate([negatives, added])
             found[int(i)] = positives, negatives
     chosen = [found[i] for i in sorted(found)]
     return ImageSets(
@@ -144,7 +146,7 @@ def sample_scenes(
     return np.flatnonzero(np.isin(places, chosen))
 
 
-def _check(features: Features, places: Indices, rules: SetRules) -> None:
+def _check(features: NDArray[np.float32], places: Indices, rules: SetRules) -> None:
     if len(features) != len(places):
         raise RecognizerError(f"{len(features)} features for {len(places)} place labels")
     count = len(np.unique(places))
@@ -159,7 +161,7 @@ def _check(features: Features, places: Indices, rules: SetRules) -> None:
 
 
 def _by_place(
-    features: Features, places: Indices, anchors: Indices
+    features: NDArray[np.float32], places: Indices, anchors: Indices
 ) -> Iterator[tuple[Indices, NDArray[np.float32], Indices]]:
     """Yield for each place of an anchor what its images share.
 
@@ -213,23 +215,6 @@ def _draw_places(
             break
         (rest if alike[image, [*beside, *apart]].any() else apart).append(image)
     return np.array((apart + rest)[:count], np.int64)
-
-
-def _fill_negatives(
-    negatives: Indices,
-    others: Indices,
-    places: Indices,
-    count: int,
-    rng: np.random.Generator,
-    alike: BoolMatrix,
-) -> Indices:
-    """Add images of yet other places, as many as are missing (lines 12-14)."""
-    missing = count - len(negatives)
-    if not missing:
-        return negatives
-    unused = others[~np.isin(places[others], places[negatives])]
-    added = _draw_places(unused, places, missing, rng, alike, negatives.tolist())
-    return np.concatenate([negatives, added])
 
 
 def _fill_positives(

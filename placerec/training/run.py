@@ -35,14 +35,8 @@ def start_training(
     """Return a training as configured, or the one that the folder holds a checkpoint of.
 
     The trunk starts from the given weights, the fully connected layer from the whitened principal
-    components of what the trunk makes of the images, or from random weights.
-
-    Args:
-        config: what is asked for.
-        images: to learn from.
-        folder: for all files; made where it is missing.
-        workers: the processes that share the training.
-        look: called while images are looked at.
+    components of what the trunk makes of the images, or from random weights. `look` is called while
+    images are looked at; the folder is made where it is missing.
 
     Raises:
         RecognizerError: the network or its weights cannot be used, the checkpoint is damaged or of
