@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from placerec.commands import calibrate, check, evaluate, fit, train
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError
 
 BAD_USAGE = 2
 
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.path.append(str(Path.cwd()))
     try:
         return int(app.cli(prog="placerec", args=arguments, description=DESCRIPTION))
-    except RecognizerError as error:
+    except LoopcloseError as error:
         print(f"placerec: {error}", file=sys.stderr)
         return BAD_USAGE
 

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
 from benchmarks.training_scenes.poses import distance, nudged, path_times_s, swing
 from placerec.datasets.tum import Recording, read_recording
+from placerec.datasets.tum_lists import nearest
 from slam import Config, open_sequence
-from slam.evaluation.trajectory import nearest
 from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse
 from slam.types import FloatArray
 
