@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 
 from slam.demo.panels import Panel, Point, box, sheet, turned
-from slam.demo.textures import Colour, Material, cloth, panelling, plaster, wood
+from slam.demo.textures import Colour, Material, Rng, cloth, panelling, plaster, wood
 from slam.demo.wall_pictures import abstract, colour_of, contours, framed, screen, spine
 from slam.types import FloatArray
 
 
-def veneer(rng: np.random.Generator) -> Material:
+def veneer(rng: Rng) -> Material:
     """Return a wood of random tone, from beech to walnut, sometimes painted."""
     tone = rng.uniform(0.45, 1.0)
     natural: Colour = (215.0 * tone, 165.0 * tone**1.2, 110.0 * tone**1.4)
@@ -26,7 +26,7 @@ def picture(
     centre: Point,
     width_m: float,
     height_m: float,
-    rng: np.random.Generator,
+    rng: Rng,
     material: Material = framed,
 ) -> list[Panel]:
     """Return a picture hanging 2 cm before the wall."""
@@ -35,9 +35,7 @@ def picture(
     return box(T, low, (width_m, height_m, 0.02), rng, frame, material)
 
 
-def books(
-    T: FloatArray, low: Point, width_m: float, height_m: float, rng: np.random.Generator
-) -> list[Panel]:
+def books(T: FloatArray, low: Point, width_m: float, height_m: float, rng: Rng) -> list[Panel]:
     """Return a row of upright books of uneven size, with a gap here and there."""
     panels: list[Panel] = []
     x = low[0]
@@ -52,9 +50,7 @@ def books(
         x += thick + 0.002
 
 
-def bookcase(
-    T: FloatArray, width_m: float, height_m: float, rng: np.random.Generator
-) -> list[Panel]:
+def bookcase(T: FloatArray, width_m: float, height_m: float, rng: Rng) -> list[Panel]:
     """Return an open bookcase 30 cm deep, a board every 30 cm or so, filled with books."""
     material, depth, thick = veneer(rng), 0.30, 0.025
     left, shelves = -width_m / 2, max(2, round(height_m / 0.33))
@@ -72,7 +68,7 @@ def bookcase(
     return panels
 
 
-def table(T: FloatArray, size: Point, rng: np.random.Generator) -> list[Panel]:
+def table(T: FloatArray, size: Point, rng: Rng) -> list[Panel]:
     """Return a table: a top on four legs; size is width, height, depth."""
     (w, h, d), material = size, veneer(rng)
     panels = box(T, (-w / 2, h - 0.04, 0), (w, 0.04, d), rng, material)
@@ -82,7 +78,7 @@ def table(T: FloatArray, size: Point, rng: np.random.Generator) -> list[Panel]:
     return panels
 
 
-def clutter(T: FloatArray, size: Point, rng: np.random.Generator, count: int) -> list[Panel]:
+def clutter(T: FloatArray, size: Point, rng: Rng, count: int) -> list[Panel]:
     """Return tins, parcels and books strewn on a surface at y = size[1], width x depth as size."""
     w, h, d = size
     panels: list[Panel] = []
@@ -100,7 +96,7 @@ def clutter(T: FloatArray, size: Point, rng: np.random.Generator, count: int) ->
     return panels
 
 
-def desk(T: FloatArray, rng: np.random.Generator) -> list[Panel]:
+def desk(T: FloatArray, rng: Rng) -> list[Panel]:
     """Return a desk with a monitor, a keyboard, books and things on it, and a chair before it."""
     panels = table(T, (1.5, 0.74, 0.6), rng)
     dark = partial(plaster, colour=(45.0, 45.0, 50.0))
@@ -115,7 +111,7 @@ def desk(T: FloatArray, rng: np.random.Generator) -> list[Panel]:
     return panels + chair(turned(T, (rng.uniform(0.2, 0.5), 0, 0.45), rng.uniform(-40, 40)), rng)
 
 
-def chair(T: FloatArray, rng: np.random.Generator) -> list[Panel]:
+def chair(T: FloatArray, rng: Rng) -> list[Panel]:
     """Return a chair with a woven seat and back."""
     cover: Material = partial(cloth, colour=colour_of(rng, 50, 200))
     panels = table(turned(T, (0, 0, -0.21)), (0.42, 0.44, 0.42), rng)
@@ -123,7 +119,7 @@ def chair(T: FloatArray, rng: np.random.Generator) -> list[Panel]:
     return panels + box(T, (-0.21, 0.49, 0.19), (0.42, 0.42, 0.03), rng, cover)
 
 
-def cupboard(T: FloatArray, size: Point, rng: np.random.Generator) -> list[Panel]:
+def cupboard(T: FloatArray, size: Point, rng: Rng) -> list[Panel]:
     """Return a closed cupboard with boarded doors and things on top; width, height, depth."""
     w, h, d = size
     front = partial(panelling, colour=colour_of(rng, 70, 190))
@@ -131,9 +127,7 @@ def cupboard(T: FloatArray, size: Point, rng: np.random.Generator) -> list[Panel
     return panels + clutter(T, size, rng, max(1, int(w / 0.28)))
 
 
-def curtain(
-    T: FloatArray, width_m: float, height_m: float, rng: np.random.Generator
-) -> list[Panel]:
+def curtain(T: FloatArray, width_m: float, height_m: float, rng: Rng) -> list[Panel]:
     """Return a curtain in folds, 8 cm deep."""
     x = np.linspace(-width_m / 2, width_m / 2, 11)
     z = 0.04 * (-1.0) ** np.arange(11)
@@ -142,7 +136,7 @@ def curtain(
 
 
 def tube(
-    T: FloatArray, radius_m: float, height_m: float, rng: np.random.Generator, material: Material
+    T: FloatArray, radius_m: float, height_m: float, rng: Rng, material: Material
 ) -> list[Panel]:
     """Return an open round vessel: a tin, a vase, a bin."""
     angles = np.linspace(-np.pi, np.pi, 13)

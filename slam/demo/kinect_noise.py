@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from slam.types import Camera
 
-RANGE_M = (0.5, 5.0)
-MAX_INCIDENCE_DEG = 80.0
+_RANGE_M = (0.5, 5.0)
+_MAX_INCIDENCE_DEG = 80.0
 DISPARITY_STEPS_M = 351.0
 """Disparity of a surface at 1 m, in steps: 585 px focal length x 0.075 m baseline x 8 steps."""
 _BASELINE_M = 0.075
@@ -39,7 +39,7 @@ def add_kinect_noise(depth_m: DepthImage, camera: Camera, rng: np.random.Generat
     seen_m = _jittered(lit_m, _JITTER_PX * camera.fx / 525.0, rng) * (1.0 + depth_bias(camera))
     sigma_m = 0.0012 + 0.0019 * (seen_m - 0.4) ** 2
     seen_m += sigma_m * rng.standard_normal(seen_m.shape, np.float32)
-    low_m, high_m = RANGE_M
+    low_m, high_m = _RANGE_M
     steps = np.rint(DISPARITY_STEPS_M / np.clip(seen_m, low_m, high_m))
     in_range = (seen_m > low_m) & (seen_m < high_m)
     return np.where(in_range, DISPARITY_STEPS_M / steps, 0.0).astype(np.float32)
@@ -74,7 +74,7 @@ def is_grazing(depth_m: DepthImage, camera: Camera) -> NDArray[np.bool_]:
     n_y = -camera.fy * cv2.Sobel(depth_m, cv2.CV_32F, 0, 1, scale=0.125)
     n_z = depth_m - x * n_x - y * n_y
     lengths = np.sqrt((n_x**2 + n_y**2 + n_z**2) * (x**2 + y**2 + 1.0))
-    return np.asarray(depth_m < np.cos(np.radians(MAX_INCIDENCE_DEG)) * lengths)
+    return np.asarray(depth_m < np.cos(np.radians(_MAX_INCIDENCE_DEG)) * lengths)
 
 
 def _jittered(depth_m: DepthImage, sigma_px: float, rng: np.random.Generator) -> DepthImage:

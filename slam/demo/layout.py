@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where things are: four unlike walls, each with furniture of its own, round an empty middle."""
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
 from slam.demo import furniture, textures, wall_pictures
 from slam.demo.panels import Panel, box, panel, turned
+from slam.demo.textures import Material, Rng
 from slam.demo.wall_pictures import colour_of
 from slam.geometry.se3 import from_rotation_translation
 from slam.types import FloatArray
 
-Theme = Callable[[np.random.Generator, FloatArray, float, float], list[Panel]]
 
-
-def furnished_room(
-    rng: np.random.Generator, width_m: float, depth_m: float, height_m: float
-) -> list[Panel]:
+def furnished_room(rng: Rng, width_m: float, depth_m: float, height_m: float) -> list[Panel]:
     """Return the panels of a room: floor at z = 0, its middle at the origin, x along the width."""
-    themes: list[Theme] = [gallery, library, study, parlour]
-    panels = floor_and_ceiling(rng, width_m, depth_m, height_m)
+    themes = [_gallery, _library, _study, _parlour]
+    panels = _floor_and_ceiling(rng, width_m, depth_m, height_m)
     for side, kind in enumerate(rng.permutation(len(themes))):
         length_m, distance_m = (width_m, depth_m / 2) if side % 2 else (depth_m, width_m / 2)
         T_world_wall = wall_frame(side * np.pi / 2, distance_m)
@@ -35,9 +31,7 @@ def wall_frame(azimuth_rad: float, distance_m: float) -> FloatArray:
     return from_rotation_translation(R_world_wall, np.array([c, s, 0.0]) * distance_m)
 
 
-def floor_and_ceiling(
-    rng: np.random.Generator, width_m: float, depth_m: float, height_m: float
-) -> list[Panel]:
+def _floor_and_ceiling(rng: Rng, width_m: float, depth_m: float, height_m: float) -> list[Panel]:
     """Return boards with a rug on them, and a plastered ceiling."""
     T = np.eye(4)
     w, d, h = width_m, depth_m, height_m
@@ -51,12 +45,8 @@ def floor_and_ceiling(
     ]
 
 
-def wall(
-    rng: np.random.Generator,
-    T: FloatArray,
-    length_m: float,
-    height_m: float,
-    material: textures.Material,
+def _wall(
+    rng: Rng, T: FloatArray, length_m: float, height_m: float, material: Material
 ) -> list[Panel]:
     """Return a bare wall with a skirting board."""
     texture = material(rng, length_m, height_m)
@@ -66,13 +56,8 @@ def wall(
     return [bare, *box(T, (-length_m / 2, 0, 0), skirting, rng, board)]
 
 
-def hang(
-    rng: np.random.Generator,
-    T: FloatArray,
-    left_m: float,
-    right_m: float,
-    low_m: float,
-    high_m: float,
+def _hang(
+    rng: Rng, T: FloatArray, left_m: float, right_m: float, low_m: float, high_m: float
 ) -> list[Panel]:
     """Return pictures of uneven size side by side, filling a strip of a wall."""
     panels: list[Panel] = []
@@ -86,49 +71,45 @@ def hang(
     return panels
 
 
-def gallery(
-    rng: np.random.Generator, T: FloatArray, length_m: float, height_m: float
-) -> list[Panel]:
+def _gallery(rng: Rng, T: FloatArray, length_m: float, height_m: float) -> list[Panel]:
     """Return a painted wall hung with pictures, a long sideboard before it."""
     paint = partial(textures.plaster, colour=colour_of(rng, 170, 215, 0.15))
     half = length_m / 2 - 0.15
-    panels = wall(rng, T, length_m, height_m, paint)
-    panels += hang(rng, T, -half, half, 1.05, 1.75)
-    panels += hang(rng, T, -half, half, 1.8, 2.4)
+    panels = _wall(rng, T, length_m, height_m, paint)
+    panels += _hang(rng, T, -half, half, 1.05, 1.75)
+    panels += _hang(rng, T, -half, half, 1.8, 2.4)
     board = turned(T, (rng.uniform(-0.4, 0.4), 0, 0.02))
     return panels + furniture.cupboard(board, (1.8, 0.72, 0.42), rng)
 
 
-def library(
-    rng: np.random.Generator, T: FloatArray, length_m: float, height_m: float
-) -> list[Panel]:
+def _library(rng: Rng, T: FloatArray, length_m: float, height_m: float) -> list[Panel]:
     """Return a brick wall with bookcases of uneven height, posters above the low ones."""
     half = length_m / 2 - 0.1
-    panels = wall(rng, T, length_m, height_m, partial(textures.bricks, colour=(160.0, 85.0, 65.0)))
+    panels = _wall(rng, T, length_m, height_m, partial(textures.bricks, colour=(160.0, 85.0, 65.0)))
     x = -half
     while (w := rng.uniform(0.7, 1.25)) < half - 0.6 - x:
         h, foot = rng.choice([1.05, 1.4, 1.75, 2.05]), turned(T, (x + w / 2, 0, 0.01))
         panels += furniture.bookcase(foot, w, h, rng)
         if h < 1.5:
-            panels += hang(rng, T, x, x + w, h + 0.35, 2.45)
+            panels += _hang(rng, T, x, x + w, h + 0.35, 2.45)
             panels += furniture.clutter(foot, (w, h, 0.3), rng, 3)
         x += w + rng.uniform(0.05, 0.3)
-    panels += hang(rng, T, x, half, 1.0, 2.0)
+    panels += _hang(rng, T, x, half, 1.0, 2.0)
     return panels + furniture.tube(
         turned(T, (half - 0.25, 0, 0.3)), 0.14, 0.32, rng, wall_pictures.contours
     )
 
 
-def study(rng: np.random.Generator, T: FloatArray, length_m: float, height_m: float) -> list[Panel]:
+def _study(rng: Rng, T: FloatArray, length_m: float, height_m: float) -> list[Panel]:
     """Return a boarded wall with a desk, a shelf of books above it, and notices."""
     boards = partial(textures.panelling, colour=colour_of(rng, 120, 200, 0.25))
     half, middle = length_m / 2 - 0.15, rng.uniform(-0.4, 0.4)
-    panels = wall(rng, T, length_m, height_m, boards)
+    panels = _wall(rng, T, length_m, height_m, boards)
     panels += furniture.desk(turned(T, (middle, 0, 0.02)), rng)
     panels += furniture.bookcase(turned(T, (middle, 1.45, 0.01)), 1.3, 0.68, rng)
     for left, right in ((-half, middle - 0.85), (middle + 0.85, half)):
-        panels += hang(rng, T, left, right, 1.15, 1.75)
-        panels += hang(rng, T, left, right, 1.8, 2.4)
+        panels += _hang(rng, T, left, right, 1.15, 1.75)
+        panels += _hang(rng, T, left, right, 1.8, 2.4)
         panels += furniture.cupboard(
             turned(T, ((left + right) / 2, 0, 0.02)),
             (right - left - 0.1, rng.uniform(0.5, 0.9), 0.4),
@@ -137,13 +118,11 @@ def study(rng: np.random.Generator, T: FloatArray, length_m: float, height_m: fl
     return panels
 
 
-def parlour(
-    rng: np.random.Generator, T: FloatArray, length_m: float, height_m: float
-) -> list[Panel]:
-    """Return a papered wall with a window, curtains, a table between chairs, and wall_pictures."""
+def _parlour(rng: Rng, T: FloatArray, length_m: float, height_m: float) -> list[Panel]:
+    """Return a papered wall with a window, curtains, a table between chairs, and pictures."""
     paper = partial(textures.wallpaper, colour=colour_of(rng, 150, 215, 0.2))
     half, middle = length_m / 2 - 0.15, rng.uniform(-0.3, 0.3)
-    panels = wall(rng, T, length_m, height_m, paper)
+    panels = _wall(rng, T, length_m, height_m, paper)
     panels += furniture.picture(T, (middle, 1.6, 0), 1.5, 1.25, rng, wall_pictures.window)
     for x in (middle - 0.95, middle + 0.95):
         panels += furniture.curtain(turned(T, (x, 0.15, 0.07)), 0.35, 2.2, rng)
@@ -151,5 +130,5 @@ def parlour(
     panels += furniture.table(turned(T, (middle, 0, 0.05)), (1.1, 0.7, 0.55), rng)
     panels += furniture.clutter(turned(T, (middle, 0, 0.05)), (1.1, 0.7, 0.5), rng, 4)
     for left, right in ((-half, middle - 1.2), (middle + 1.2, half)):
-        panels += hang(rng, T, left, right, 1.1, 2.1)
+        panels += _hang(rng, T, left, right, 1.1, 2.1)
     return panels

@@ -5,15 +5,18 @@ Furniture is laid out in its own frame: x right and y up as seen from the front,
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
-from slam.demo.textures import Image, Material, to_image
+from slam.demo.textures import Image, Material, Rng, to_image
 from slam.geometry.se3 import from_rotation_translation
 from slam.types import FloatArray
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import RaycastingScene
 
 Point = tuple[float, float, float]
 
@@ -59,7 +62,7 @@ def box(
     T_world_local: FloatArray,
     low: Point,
     size: Point,
-    rng: np.random.Generator,
+    rng: Rng,
     sides: Material,
     front: Material | None = None,
 ) -> list[Panel]:
@@ -82,7 +85,7 @@ def sheet(
     T_world_local: FloatArray,
     outline_xz_m: FloatArray,
     height_m: float,
-    rng: np.random.Generator,
+    rng: Rng,
     material: Material,
 ) -> list[Panel]:
     """Return an upright sheet bent along an outline, one texture running over all its panels.
@@ -99,12 +102,14 @@ def sheet(
     ]
 
 
-def scene_of(panels: list[Panel]) -> o3d.t.geometry.RaycastingScene:
+def scene_of(panels: list[Panel]) -> "RaycastingScene":
     """Return the panels' geometry for ray casting; panel i is triangles 2 i and 2 i + 1.
 
     Triangle 2 i starts at the texture's upper left, 2 i + 1 at its lower right: in both the
     barycentric coordinates run along the texture's edges, in the second one backwards.
     """
+    import open3d as o3d  # takes seconds to load
+
     corner, right, down = (
         np.array([getattr(panel, name) for panel in panels])
         for name in ("corner_m", "right_m", "down_m")
@@ -135,16 +140,18 @@ class _Surface:
 
     points_m: FloatArray
     normals: FloatArray
-    scene: o3d.t.geometry.RaycastingScene
+    scene: "RaycastingScene"
 
     def sees(self, directions: FloatArray, reach: float) -> NDArray[np.bool_]:
         """Return (N,) whether nothing stands within `reach` times the (N, 3) directions."""
+        import open3d as o3d
+
         rays = np.concatenate([self.points_m, directions], axis=1).astype(np.float32)
         hidden = self.scene.test_occlusions(o3d.core.Tensor(rays), tnear=0.0, tfar=reach)
         return np.asarray(~hidden.numpy(), np.bool_)
 
 
-def light(panels: list[Panel], lamps_m: FloatArray, rng: np.random.Generator) -> list[Panel]:
+def light(panels: list[Panel], lamps_m: FloatArray, rng: Rng) -> list[Panel]:
     """Return the panels as lit by lamps with soft shadows, darker in the corners.
 
     Args:
@@ -187,7 +194,7 @@ def _from_lamp(surface: _Surface, lamp_m: FloatArray) -> FloatArray:
     return np.asarray(surface.sees(towards, 1.0) * cosine * strength)
 
 
-def _from_sky(surface: _Surface, rng: np.random.Generator) -> FloatArray:
+def _from_sky(surface: _Surface, rng: Rng) -> FloatArray:
     """Return (N,) light from everywhere: less where few directions are free (ambient occlusion)."""
     free = np.zeros(len(surface.points_m))
     for _ in range(_SKY_SAMPLES):

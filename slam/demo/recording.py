@@ -2,7 +2,6 @@
 """The demo sequence: a made-up room, driven round twice, as a TUM RGB-D folder with exact truth."""
 
 import tempfile
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -10,14 +9,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from placerec.files import Progress
 from slam.datasets.cameras import CAMERA_FILE, write_camera
 from slam.demo.drive import LAP_S, drive
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.room import Room, build_room, render
-from slam.geometry.se3 import to_quaternion
-from slam.types import Camera, FloatArray, SlamError
+from slam.evaluation.trajectory import write_tum
+from slam.types import Camera, FloatArray, SlamError, Trajectory
 
-DEMO_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+_DEMO_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 """The benchmark's default pinhole camera, without distortion."""
 
 FRAMES_PER_S = 15.0
@@ -31,8 +31,8 @@ def render_sequence(
     folder: Path,
     seconds: float = 2.0 * LAP_S + 0.5,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-    camera: Camera = DEMO_CAMERA,
+    progress: Progress | None = None,
+    camera: Camera = _DEMO_CAMERA,
 ) -> None:
     """Write a complete TUM RGB-D folder, camera.toml included, or nothing at all.
 
@@ -52,9 +52,8 @@ def render_sequence(
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as scratch:
             unfinished = Path(scratch) / folder.name
-            _write_sequence(
-                unfinished, max(1, round(seconds * FRAMES_PER_S)), seed, progress, camera
-            )
+            times_s = np.arange(max(1, round(seconds * FRAMES_PER_S))) / FRAMES_PER_S
+            _write_sequence(unfinished, times_s, seed, progress, camera)
             unfinished.replace(folder)
     except OSError as error:
         raise SlamError(
@@ -63,42 +62,33 @@ def render_sequence(
 
 
 def _write_sequence(
-    folder: Path,
-    count: int,
-    seed: int,
-    progress: Callable[[int, int], None] | None,
-    camera: Camera,
+    folder: Path, times_s: FloatArray, seed: int, progress: Progress | None, camera: Camera
 ) -> None:
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
-    times_s = np.arange(count) / FRAMES_PER_S
-    T_world_cam = drive(times_s, seed)
+    truth = Trajectory(times_s + _START_S, drive(times_s, seed))
     write_frame = partial(_write_frame, folder, build_room(seed), camera, seed)
     pool = ThreadPoolExecutor(_WORKERS)
     try:
-        jobs = pool.map(write_frame, range(count), times_s + _START_S, T_world_cam)
+        jobs = pool.map(write_frame, range(len(truth)), truth.timestamps_s, truth.T_world_cam)
         for done, _ in enumerate(jobs, start=1):
             if progress:
-                progress(done, count)
+                progress(done, len(truth))
     finally:
         pool.shutdown(cancel_futures=True)
-    stamps = [f"{time_s:.6f}" for time_s in times_s + _START_S]
-    _write_lists(folder, stamps, T_world_cam)
+    for name, kind in (("rgb", "jpg"), ("depth", "png")):
+        lines = [f"{time_s:.6f} {name}/{time_s:.6f}.{kind}\n" for time_s in truth.timestamps_s]
+        (folder / f"{name}.txt").write_text("# timestamp filename\n" + "".join(lines))
+    write_tum(folder / "groundtruth.txt", truth)
     write_camera(folder / CAMERA_FILE, camera)
 
 
 def _write_frame(
-    folder: Path,
-    room: Room,
-    camera: Camera,
-    seed: int,
-    index: int,
-    time_s: float,
-    T_world_cam: FloatArray,
+    folder: Path, room: Room, camera: Camera, seed: int, index: int, time_s: float, T: FloatArray
 ) -> None:
     # Noise belongs to the frame, not to the order in which threads happen to render.
     rng = np.random.default_rng([seed, 0xF0, index])
-    perfect = render(room, camera, T_world_cam, time_s)
+    perfect = render(room, camera, T, time_s)
     rgb = add_colour_noise(perfect.rgb, rng)
     depth_m = add_kinect_noise(perfect.depth_m, camera, rng)
     depth = np.rint(depth_m * camera.depth_scale).astype(np.uint16)
@@ -106,14 +96,3 @@ def _write_frame(
     png = cv2.imencode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
     (folder / f"rgb/{time_s:.6f}.jpg").write_bytes(jpeg.tobytes())
     (folder / f"depth/{time_s:.6f}.png").write_bytes(png.tobytes())
-
-
-def _write_lists(folder: Path, stamps: list[str], T_world_cam: FloatArray) -> None:
-    for name, kind in (("rgb", "jpg"), ("depth", "png")):
-        lines = [f"{stamp} {name}/{stamp}.{kind}\n" for stamp in stamps]
-        (folder / f"{name}.txt").write_text("# timestamp filename\n" + "".join(lines))
-    lines = ["# timestamp tx ty tz qx qy qz qw\n"]
-    for stamp, T in zip(stamps, T_world_cam, strict=True):
-        numbers = [*T[:3, 3], *to_quaternion(T[:3, :3])]
-        lines.append(" ".join([stamp, *(f"{number:.9f}" for number in numbers)]) + "\n")
-    (folder / "groundtruth.txt").write_text("".join(lines))

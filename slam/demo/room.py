@@ -3,10 +3,10 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from slam.demo.layout import furnished_room
@@ -17,6 +17,9 @@ from slam.types import Camera, FloatArray, Frame
 ROOM_SIZE_M = (5.0, 4.0, 2.6)
 LAMPS_M = np.array([[-0.9, 0.3, 2.2], [0.9, -0.3, 2.2], [0.0, 0.0, 1.5]])
 _LEVELS = 4
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import RaycastingScene
 
 FloatImage = NDArray[np.float32]
 
@@ -31,7 +34,7 @@ class Room:
         starts, widths, heights: (P * levels,) int32, where each of them lies in `texels`.
     """
 
-    scene: o3d.t.geometry.RaycastingScene
+    scene: "RaycastingScene"
     texels: NDArray[np.uint32]
     starts: NDArray[np.int32]
     widths: NDArray[np.int32]
@@ -80,14 +83,16 @@ def render(room: Room, camera: Camera, T_world_cam: FloatArray, timestamp_s: flo
         T_world_cam: (4, 4), camera axes x right, y down, z forward.
         timestamp_s: for the frame.
     """
-    rays_cam = ray_directions(camera)
+    import open3d as o3d
+
+    rays_cam = _ray_directions(camera)
     R_world_cam = T_world_cam[:3, :3].astype(np.float32)
     rays = np.empty((camera.height, camera.width, 6), np.float32)
     rays[..., :3] = T_world_cam[:3, 3]
     rays[..., 3:] = rays_cam @ R_world_cam.T
     hits = room.scene.cast_rays(o3d.core.Tensor(rays))
     triangles = hits["primitive_ids"].numpy()
-    missed = triangles == o3d.t.geometry.RaycastingScene.INVALID_ID
+    missed = triangles == room.scene.INVALID_ID
     triangles = np.where(missed, 0, triangles).astype(np.int32)
     depth_m = np.where(missed, 0.0, hits["t_hit"].numpy())  # rays have z = 1: length is depth
     uv = hits["primitive_uvs"].numpy()
@@ -103,7 +108,7 @@ def render(room: Room, camera: Camera, T_world_cam: FloatArray, timestamp_s: flo
 
 
 @lru_cache(maxsize=4)
-def ray_directions(camera: Camera) -> FloatImage:
+def _ray_directions(camera: Camera) -> FloatImage:
     """Return (H, W, 3) float32 viewing rays of the pixels, camera frame, z = 1; read-only."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 Colour = tuple[float, float, float]
-Material = Callable[[np.random.Generator, float, float], Image]
+Rng = np.random.Generator
+Material = Callable[[Rng, float, float], Image]
 
 TEXELS_PER_M = 320
 
@@ -30,7 +31,7 @@ def to_image(values: NDArray[Any]) -> Image:
 
 
 def noise(
-    rng: np.random.Generator, size: tuple[int, int], cell: tuple[int, int], octaves: int = 3
+    rng: Rng, size: tuple[int, int], cell: tuple[int, int], octaves: int = 3
 ) -> NDArray[np.float32]:
     """Return (H, W) float32 smooth random values of about zero mean and unit spread.
 
@@ -53,7 +54,7 @@ def tint(values: NDArray[np.float32], colour: Colour, contrast: float) -> NDArra
     return np.asarray(colour, np.float32) * (1.0 + contrast * values[..., None])
 
 
-def plaster(rng: np.random.Generator, width_m: float, height_m: float, colour: Colour) -> Image:
+def plaster(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return painted woodchip: blotches a hand wide and raised chips a centimetre wide."""
     size = size_px(width_m, height_m)
     blotches = tint(noise(rng, size, (200, 200), 4), colour, 0.06)
@@ -62,7 +63,7 @@ def plaster(rng: np.random.Generator, width_m: float, height_m: float, colour: C
     return to_image(blotches * (1.0 + 0.07 * relief[..., None] * (np.abs(chips[..., None]) > 0.7)))
 
 
-def bricks(rng: np.random.Generator, width_m: float, height_m: float, colour: Colour) -> Image:
+def bricks(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return a wall of bricks 24 x 7 cm, each with its own shade, in pale mortar."""
     width, height = size_px(width_m, height_m)
     y_m, x_m = np.mgrid[:height, :width].astype(np.float32) / TEXELS_PER_M
@@ -80,7 +81,7 @@ def bricks(rng: np.random.Generator, width_m: float, height_m: float, colour: Co
 
 
 def planks(
-    rng: np.random.Generator,
+    rng: Rng,
     width_m: float,
     height_m: float,
     colour: Colour,
@@ -100,20 +101,20 @@ def planks(
     return to_image(np.where(gap[..., None], 0.35 * image, image))
 
 
-def panelling(rng: np.random.Generator, width_m: float, height_m: float, colour: Colour) -> Image:
+def panelling(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return upright boards."""
     lying = planks(rng, height_m, width_m, colour, (1.7, 0.14))
     return np.ascontiguousarray(lying.transpose(1, 0, 2))
 
 
-def wood(rng: np.random.Generator, width_m: float, height_m: float, colour: Colour) -> Image:
+def wood(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return one piece of veneer, grain along the width."""
     size = size_px(width_m, height_m)
     rings = np.sin(2.5 * noise(rng, size, (260, 40), 2)) + 0.6 * noise(rng, size, (80, 4), 2)
     return to_image(tint(rings.astype(np.float32), colour, 0.11))
 
 
-def wallpaper(rng: np.random.Generator, width_m: float, height_m: float, colour: Colour) -> Image:
+def wallpaper(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return leaves and blossoms strewn over a plain ground, no two alike."""
     width, height = size_px(width_m, height_m)
     image = tint(noise(rng, (width, height), (160, 160), 4), colour, 0.05)
@@ -129,7 +130,7 @@ def wallpaper(rng: np.random.Generator, width_m: float, height_m: float, colour:
     return to_image(image)
 
 
-def cloth(rng: np.random.Generator, width_m: float, height_m: float, colour: Colour) -> Image:
+def cloth(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return woven cloth with uneven stripes across and along."""
     width, height = size_px(width_m, height_m)
     weave = noise(rng, (width, height), (3, 3), 1)

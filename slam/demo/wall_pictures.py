@@ -9,19 +9,17 @@ import string
 import cv2
 import numpy as np
 
-from slam.demo.textures import TEXELS_PER_M, Colour, Image, noise, size_px, to_image
+from slam.demo.textures import TEXELS_PER_M, Colour, Image, Rng, noise, size_px, to_image
 
 
-def colour_of(
-    rng: np.random.Generator, low: float = 30.0, high: float = 230.0, chroma: float = 0.4
-) -> Colour:
+def colour_of(rng: Rng, low: float = 30.0, high: float = 230.0, chroma: float = 0.4) -> Colour:
     """Return a random colour of a brightness between low and high; chroma 0 is grey."""
     hue = rng.uniform(-chroma, chroma, 3)
     red, green, blue = np.clip(rng.uniform(low, high) * (1.0 + hue - hue.mean()), 8.0, 248.0)
     return float(red), float(green), float(blue)
 
 
-def landscape(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def landscape(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return hills behind hills under a sky with a sun."""
     width, height = size_px(width_m, height_m)
     ramp = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None, None]
@@ -40,7 +38,7 @@ def landscape(rng: np.random.Generator, width_m: float, height_m: float) -> Imag
     return to_image(image)
 
 
-def abstract(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def abstract(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return overlapping discs, bars and strokes in a handful of colours."""
     width, height = size_px(width_m, height_m)
     palette = [colour_of(rng, 15, 245) for _ in range(5)]
@@ -61,7 +59,7 @@ def abstract(rng: np.random.Generator, width_m: float, height_m: float) -> Image
     return to_image(image + 5 * noise(rng, (width, height), (6, 6), 2)[..., None])
 
 
-def contours(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def contours(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return a map: land and sea in height bands, with contour lines and a grid."""
     size = size_px(width_m, height_m)
     relief = noise(rng, size, (size[0] // 2 + 4, size[1] // 2 + 4), 5)
@@ -75,7 +73,7 @@ def contours(rng: np.random.Generator, width_m: float, height_m: float) -> Image
     return to_image(image)
 
 
-def page(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def page(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return a printed notice: a headline, lines of words in two columns, a picture."""
     width, height = size_px(width_m, height_m)
     image = np.full((height, width, 3), rng.uniform(205, 250, 3), np.uint8)
@@ -93,12 +91,7 @@ def page(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
 
 
 def write(
-    image: Image,
-    rng: np.random.Generator,
-    start: tuple[int, int],
-    height_px: float,
-    end_x: int,
-    ink: Colour,
+    image: Image, rng: Rng, start: tuple[int, int], height_px: float, end_x: int, ink: Colour
 ) -> None:
     """Draw one line of made-up words from the baseline `start` up to the column `end_x`."""
     scale = height_px / 30.0
@@ -109,7 +102,7 @@ def write(
     cv2.putText(image, text, start, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, thickness, cv2.LINE_AA)
 
 
-def framed(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def framed(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return a picture of any kind in a frame, some with a pale mount."""
     kinds = (landscape, abstract, contours, page)
     image = kinds[int(rng.integers(len(kinds)))](rng, width_m, height_m)
@@ -122,7 +115,7 @@ def framed(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
     return image
 
 
-def window(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def window(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return a window: white bars before a cloudy sky and a row of houses."""
     width, height = size_px(width_m, height_m)
     clouds = noise(rng, (width, height), (150, 60), 4)[..., None]
@@ -143,7 +136,7 @@ def window(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
     return to_image(image)
 
 
-def screen(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def screen(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return a monitor showing a dark editor full of coloured words."""
     width, height = size_px(width_m, height_m)
     image = np.full((height, width, 3), (28, 30, 38), np.uint8)
@@ -154,7 +147,7 @@ def screen(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
     return image
 
 
-def spine(rng: np.random.Generator, width_m: float, height_m: float) -> Image:
+def spine(rng: Rng, width_m: float, height_m: float) -> Image:
     """Return the back of a book: bands and a title that runs down it."""
     width, height = size_px(width_m, height_m)
     image = np.full((width, height, 3), colour_of(rng, 25, 215), np.uint8)  # lying, turned below

@@ -5,7 +5,7 @@ import pytest
 
 from slam.config import FeaturesConfig, InputConfig, VerificationConfig
 from slam.datasets import open_sequence
-from slam.demo.recording import render_sequence
+from slam.demo import render_sequence
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor
 from slam.geometry.relative_pose import estimate_relative_pose
