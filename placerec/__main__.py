@@ -7,16 +7,19 @@ from pathlib import Path
 
 import tyro
 
-from placerec.commands import calibrate, check, evaluate, fit, train
+from placerec.commands.calibrate import calibrate
+from placerec.commands.check import check
+from placerec.commands.evaluate import evaluate
+from placerec.commands.fit import fit
+from placerec.commands.train import train
 from placerec.errors import LoopcloseError
 
-BAD_USAGE = 2
+_BAD_USAGE = 2
+_DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
 
-DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
-
-app = tyro.extras.SubcommandApp()
+_app = tyro.extras.SubcommandApp()
 for command in (check, evaluate, calibrate, fit, train):
-    app.command(command)
+    _app.command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,10 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A class that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
     try:
-        return int(app.cli(prog="placerec", args=arguments, description=DESCRIPTION))
+        return int(_app.cli(prog="placerec", args=arguments, description=_DESCRIPTION))
     except LoopcloseError as error:
         print(f"placerec: {error}", file=sys.stderr)
-        return BAD_USAGE
+        return _BAD_USAGE
 
 
 if __name__ == "__main__":

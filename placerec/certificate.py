@@ -23,11 +23,11 @@ from placerec.recognizer import PlaceRecognizer
 
 TAIL = 0.01
 """The share of either kind of pair that its range leaves out, on each side."""
-MAX_OUTSIDE = 0.1
-MAX_PASSING = 0.95
-FEW_PAIRS = 50
+_MAX_OUTSIDE = 0.1
+_MAX_PASSING = 0.95
+_FEW_PAIRS = 50
 """Fewer live pairs than this say nothing about the images they come from."""
-CERTIFICATE_SUFFIX = ".certificate.json"
+_SUFFIX = ".certificate.json"
 
 Cosine = Annotated[float, Field(ge=-1.001, le=1.001)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -100,24 +100,30 @@ class Certificate(BaseModel):
             similarities: (M,) of pairs that could be loops.
         """
         count = similarities.size
-        if count < FEW_PAIRS:
+        if count < _FEW_PAIRS:
             return None
         low, high = self.calibrated_range
         outside = float(((similarities < low) | (similarities > high)).mean())
-        if outside > MAX_OUTSIDE:
+        if outside > _MAX_OUTSIDE:
             return (
                 f"{outside:.0%} of the {count} similarities lie outside {low:.3f} to {high:.3f}, "
                 f"where nearly all lay when the recognizer was calibrated on {self.data}: its "
                 "threshold may not hold here; calibrate on images like these"
             )
         passing = float((similarities >= self.min_similarity).mean())
-        if passing > MAX_PASSING:
+        if passing > _MAX_PASSING:
             return (
                 f"{passing:.0%} of the {count} similarities reach {self.min_similarity:.3f}, as "
                 f"{TAIL:.0%} did between different places when the recognizer was calibrated on "
                 f"{self.data}: if this is not all one place, calibrate on images like these"
             )
         return None
+
+
+def own_fingerprint(recognizer: PlaceRecognizer) -> str | None:
+    """Return what a recognizer says that its embeddings depend on, None where it says nothing."""
+    own = getattr(recognizer, "fingerprint", None)
+    return own if isinstance(own, str) else None
 
 
 def fingerprint(recognizer: PlaceRecognizer) -> str:
@@ -128,8 +134,7 @@ def fingerprint(recognizer: PlaceRecognizer) -> str:
     Raises:
         RecognizerError: it has no fingerprint and no source file.
     """
-    own = getattr(recognizer, "fingerprint", None)
-    if isinstance(own, str):
+    if (own := own_fingerprint(recognizer)) is not None:
         return own
     kind = type(recognizer)
     try:
@@ -167,7 +172,7 @@ def certificate_of(recognizer: PlaceRecognizer) -> Certificate | None:
 
 def certificate_path(weights: Path) -> Path:
     """Return where the certificate of a file of weights lies: beside it."""
-    return weights.with_suffix(CERTIFICATE_SUFFIX)
+    return weights.with_suffix(_SUFFIX)
 
 
 def certificate_beside(weights: Path) -> Certificate | None:
@@ -184,7 +189,7 @@ def write_certificate(certificate: Certificate, path: Path) -> None:
     """Write a certificate as a whole JSON file.
 
     Raises:
-        RecognizerError: the file cannot be written.
+        LoopcloseError: the file cannot be written.
     """
     write_atomically(path, certificate.model_dump_json(indent=1).encode() + b"\n")
 

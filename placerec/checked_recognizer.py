@@ -13,8 +13,8 @@ Embeddings = NDArray[np.float32]
 Similarities = NDArray[np.float32]
 
 MAX_LENGTH_ERROR = 1e-3
-LOOKS_BACK = 32
-MAX_BEYOND_ONE = 1e-3
+_LOOKS_BACK = 32
+_MAX_BEYOND_ONE = 1e-3
 """Rounding may take a similarity so far out of -1 to 1; it is brought back."""
 
 
@@ -53,7 +53,7 @@ COSINES = Cosines()
 
 
 def flaw_in(answer: object, shape: tuple[int, int]) -> str | None:
-    """Return what is wrong with an answer that should be similarities of a shape, None if nothing.
+    """Return what is wrong with an answer that should be (Q, R) similarities, None if nothing.
 
     Args:
         answer: whatever a recognizer returned.
@@ -65,10 +65,9 @@ def flaw_in(answer: object, shape: tuple[int, int]) -> str | None:
         return f"a {type(answer).__name__} that is not an array of numbers"
     if values.shape != shape:
         return f"similarities of shape {values.shape}, not (queries, references) = {shape}"
-    if not np.isfinite(values).all():
-        count = np.count_nonzero(~np.isfinite(values))
+    if count := np.count_nonzero(~np.isfinite(values)):
         return f"{count} of {values.size} similarities that are NaN or infinite"
-    outside = values[np.abs(values) > 1.0 + MAX_BEYOND_ONE]
+    outside = values[np.abs(values) > 1.0 + _MAX_BEYOND_ONE]
     if outside.size:
         worst = outside[np.abs(outside).argmax()]
         return f"a similarity of {worst:.6g}; it must lie from -1 to 1"
@@ -85,9 +84,6 @@ class CheckedRecognizer:
         looks_back: how many queries before the one in question matter to its similarities.
     """
 
-    min_similarity: float
-    looks_back: int
-
     def __init__(self, recognizer: PlaceRecognizer, name: str | None = None) -> None:
         """Wrap a recognizer; the name is what errors call it, by default its class's.
 
@@ -96,10 +92,26 @@ class CheckedRecognizer:
         """
         self._title = f"recognizer {name or type(recognizer).__name__!r}"
         self._recognizer = with_members(recognizer, self._title)
-        self._comparer = self._own_comparer() or COSINES
         self._shape: tuple[int, ...] | None = None
-        self.min_similarity = self._checked_threshold(recognizer.min_similarity)
-        self.looks_back = self._checked_looks_back()
+        own = getattr(recognizer, "compare", None)
+        if own is not None and not callable(own):
+            raise RecognizerError(f"{self._title} has a compare that is no method")
+        self._comparer = COSINES if own is None else cast(Comparer, recognizer)
+        try:
+            self.min_similarity = float(recognizer.min_similarity)
+        except (TypeError, ValueError):
+            self.min_similarity = np.nan
+        if not -1.0 <= self.min_similarity <= 1.0:
+            raise RecognizerError(
+                f"{self._title} has min_similarity = {recognizer.min_similarity!r}; "
+                "it must lie from -1 to 1"
+            )
+        looks_back: object = getattr(self._comparer, "looks_back", _LOOKS_BACK)
+        if not isinstance(looks_back, int) or looks_back < 0:
+            raise RecognizerError(
+                f"{self._title} has looks_back = {looks_back!r}; it must be 0 or more"
+            )
+        self.looks_back = looks_back
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) uint8 RGB image.
@@ -118,9 +130,7 @@ class CheckedRecognizer:
         return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
 
     def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
-        """Return the (Q, R) float32 similarities, -1 to 1, of (Q, *S) and (R, *S) embeddings.
-
-        Both are in the order in which they were seen.
+        """Return (Q, R) float32 similarities as a `Comparer` does.
 
         Raises:
             RecognizerError: the recognizer failed, or its answer is no such similarities.
@@ -140,8 +150,7 @@ class CheckedRecognizer:
             self._refuse(f"a {type(answer).__name__} that is not an array of numbers", error)
         if values.size == 0 or values.ndim == 0 or (values.ndim > 1 and self._comparer is COSINES):
             self._refuse(f"an array of shape {values.shape}; embed must return shape (D,)")
-        if not np.isfinite(values).all():
-            count = np.count_nonzero(~np.isfinite(values))
+        if count := np.count_nonzero(~np.isfinite(values)):
             self._refuse(f"{count} of {values.size} values that are NaN or infinite")
         if self._shape not in (None, values.shape):
             self._refuse(f"an array of shape {values.shape} after {self._shape} for earlier images")
@@ -153,29 +162,6 @@ class CheckedRecognizer:
         if not abs(length - 1.0) <= MAX_LENGTH_ERROR:
             self._refuse(f"a vector of length {length:.6g}; divide it by its length")
         return (vector / length).astype(np.float32)
-
-    def _checked_threshold(self, value: object) -> float:
-        try:
-            threshold = float(cast(float, value))
-        except (TypeError, ValueError):
-            threshold = np.nan
-        if not -1.0 <= threshold <= 1.0:
-            raise RecognizerError(
-                f"{self._title} has min_similarity = {value!r}; it must lie from -1 to 1"
-            )
-        return threshold
-
-    def _own_comparer(self) -> Comparer | None:
-        own = getattr(self._recognizer, "compare", None)
-        if own is not None and not callable(own):
-            raise RecognizerError(f"{self._title} has a compare that is no method")
-        return None if own is None else cast(Comparer, self._recognizer)
-
-    def _checked_looks_back(self) -> int:
-        count: object = getattr(self._comparer, "looks_back", LOOKS_BACK)
-        if not isinstance(count, int) or count < 0:
-            raise RecognizerError(f"{self._title} has looks_back = {count!r}; it must be 0 or more")
-        return count
 
     def _refuse(self, what: str, cause: Exception | None = None) -> NoReturn:
         raise RecognizerError(f"{self._title} returned {what}") from cause

@@ -18,7 +18,7 @@ INK, SOFT, GRID = "#20242a", "#7a808a", "#d0d4da"
 RIGHT, WRONG = "#0a64b4", "#c01878"
 BEFORE, AFTER, TRUTH, LOST = "#c4600a", RIGHT, SOFT, "#8a6a40"
 COLOURS = (RIGHT, BEFORE, "#1a8a5a", WRONG, "#7a5fc0", LOST, "#2aa0b8", INK)
-DASHES = ("-", "--", ":", "-.")
+_DASHES = ("-", "--", ":", "-.")
 WIDTH_IN = 5.0
 """Narrow, so that the writing stays legible where a page shrinks it to a phone's width."""
 
@@ -57,8 +57,6 @@ _CSS = {
     LOST: "var(--lost)",
 }
 
-Paint = Callable[[Axes], None]
-
 
 @contextmanager
 def canvas(
@@ -73,7 +71,7 @@ def canvas(
 
 def line_styles() -> Iterator[tuple[str, str]]:
     """Yield colour and dashes of one line after the other, different as long as can be."""
-    return ((colour, dashes) for dashes, colour in cycle(product(DASHES, COLOURS)))
+    return ((colour, dashes) for dashes, colour in cycle(product(_DASHES, COLOURS)))
 
 
 def svg(figure: Figure) -> bytes:
@@ -86,7 +84,7 @@ def png(figure: Figure) -> bytes:
     return _save(figure, "png", dpi=110, metadata={"Software": None})
 
 
-def draw(name: str, alt: str, paint: Paint, height_in: float = 3.8) -> Markup:
+def draw(name: str, alt: str, paint: Callable[[Axes], None], height_in: float = 3.8) -> Markup:
     """Return a drawing as an SVG element: `paint` fills the axes, labelled artists the legend.
 
     `name` must be unique on the page: it keeps the drawings' inner references apart.
@@ -97,21 +95,17 @@ def draw(name: str, alt: str, paint: Paint, height_in: float = 3.8) -> Markup:
         handles, labels = axes.get_legend_handles_labels()
         if handles:
             figure.legend(handles, labels, loc="outside upper left", ncols=3)
-    file = _save(figure, "svg", name, transparent=True, metadata={"Date": None})
-    return _inline(file.decode(), alt)
-
-
-def _inline(svg: str, alt: str) -> Markup:
-    """Strip a stand-alone SVG file to what belongs inside a page."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # never referred to, and repeated in each drawing
-    svg = re.sub(r' (?:width|height)="[\d.]+pt"', "", svg, count=2)
-    svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    text = _save(figure, "svg", name, transparent=True, metadata={"Date": None}).decode()
+    # Strip the file to what belongs inside a page.
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'<g id="[^"]*"', "<g", text)  # never referred to, and repeated in each drawing
+    text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
+    text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
     for colour, variable in _CSS.items():
-        svg = svg.replace(colour, variable)
+        text = text.replace(colour, variable)
     label = escape(alt, quote=True)
-    return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
+    return Markup(text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
 
 
 def _save(figure: Figure, kind: str, salt: str = "placerec", **options: Any) -> bytes:

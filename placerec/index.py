@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from placerec.checked_recognizer import COSINES, Comparer, Embeddings, Similarities
 from placerec.errors import RecognizerError
 
-ROOM = 64
-"""Places that there is room for at first."""
+_FIRST_CAPACITY = 64
+"""Places that the array of embeddings can hold at first; it doubles when it is full."""
 
 
 class PlaceIndex:
@@ -33,8 +33,14 @@ class PlaceIndex:
         Raises:
             RecognizerError: it has another shape than the ones before.
         """
-        rows = self._with_room_for(embedding)
-        rows[self._count] = embedding
+        if self._rows is None:
+            if embedding.ndim == 0 or embedding.size == 0:
+                raise RecognizerError(f"an embedding has shape {embedding.shape}, not (D,)")
+            self._rows = np.zeros((_FIRST_CAPACITY, *embedding.shape), np.float32)
+        self._check_shape(embedding, self._rows)
+        if self._count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        self._rows[self._count] = embedding
         self._count += 1
         return self._count - 1
 
@@ -75,16 +81,6 @@ class PlaceIndex:
             return np.empty((0, 0), np.float32)
         rows = self._rows[: self._count]
         return self._comparer.compare(rows, rows)
-
-    def _with_room_for(self, embedding: Embeddings) -> Embeddings:
-        if self._rows is None:
-            if embedding.ndim == 0 or embedding.size == 0:
-                raise RecognizerError(f"an embedding has shape {embedding.shape}, not (D,)")
-            self._rows = np.zeros((ROOM, *embedding.shape), np.float32)
-        self._check_shape(embedding, self._rows)
-        if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        return self._rows
 
     @staticmethod
     def _check_shape(embedding: Embeddings, rows: Embeddings) -> None:

@@ -15,7 +15,7 @@ from placerec.errors import RecognizerError
 
 ENTRY_POINT_GROUP = "placerec.recognizers"
 WEIGHTS_SUFFIX = ".safetensors"
-WEIGHTS_READER = "placerec.recognizers.fitted_file:open_recognizer"
+_WEIGHTS_READER = "placerec.recognizers.fitted_file:open_recognizer"
 """Found when it is needed, as every recognizer: reading weights may take torch."""
 
 
@@ -62,10 +62,10 @@ def load(name: str) -> PlaceRecognizer:
             or constructed, what it makes is not a recognizer, or the weights cannot be used.
     """
     if name.endswith(WEIGHTS_SUFFIX):
-        reader = EntryPoint(name=name, value=WEIGHTS_READER, group=ENTRY_POINT_GROUP).load()
+        reader = EntryPoint(name=name, value=_WEIGHTS_READER, group=ENTRY_POINT_GROUP).load()
         return cast(PlaceRecognizer, reader(Path(name)))
     entry = find(name)
-    title = _title(name, entry)
+    title = f"recognizer {name!r}" + ("" if name == entry.value else f" ({entry.value})")
     make = imported(entry, title)
     if not callable(make):
         raise RecognizerError(f"{title} is a {type(make).__name__}; name a class or a function")
@@ -88,7 +88,13 @@ def find(name: str) -> EntryPoint:
         return EntryPoint(name=name, value=name, group=ENTRY_POINT_GROUP)
     found = list(entry_points(group=ENTRY_POINT_GROUP, name=name))
     if not found:
-        raise RecognizerError(_unknown(name))
+        installed = ", ".join(available()) or "none"
+        close = get_close_matches(name, available(), n=1)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise RecognizerError(
+            f"there is no recognizer {name!r}{hint}; installed: {installed}; "
+            "or name a class as package.module:ClassName, or a file of weights, *.safetensors"
+        )
     if len(found) > 1:
         owners = " and ".join(sorted(entry.dist.name if entry.dist else "?" for entry in found))
         raise RecognizerError(f"recognizer {name!r} is claimed by {owners}; uninstall all but one")
@@ -113,21 +119,6 @@ def cause_of(error: Exception) -> str:
     if isinstance(error, RecognizerError):
         return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
-
-
-def _unknown(name: str) -> str:
-    names = available()
-    close = get_close_matches(name, names, n=1)
-    hint = f" (did you mean {close[0]!r}?)" if close else ""
-    listed = ", ".join(names) or "none"
-    return (
-        f"there is no recognizer {name!r}{hint}; installed: {listed}; "
-        "or name a class as package.module:ClassName, or a file of weights, *.safetensors"
-    )
-
-
-def _title(name: str, entry: EntryPoint) -> str:
-    return f"recognizer {name!r}" if name == entry.value else f"recognizer {name!r} ({entry.value})"
 
 
 def with_members(recognizer: object, title: str) -> PlaceRecognizer:

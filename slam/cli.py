@@ -6,7 +6,7 @@ import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import closing, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,13 +14,20 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tqdm import tqdm
 
-from placerec.errors import RecognizerError, deferred_interrupts
+from placerec.errors import LoopcloseError, deferred_interrupts
+from placerec.files import Progress
 from placerec.recognizer import load
 from slam.config import Config, load_config
 from slam.result import SlamResult
 from slam.types import Frame, SlamError
 
+if TYPE_CHECKING:
+    from slam.datasets import Sequence, Sessions
+    from slam.evaluation.drift import DriftReport
+    from slam.system import Slam
+
 DEFAULT_RECOGNIZER = "learned"
+DEMO = "demo"
 
 _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
 
@@ -69,10 +76,11 @@ def parse(arguments: list[str]) -> Arguments:
     Raises:
         SlamError: the settings file cannot be used.
     """
-    defaults = Config()
-    config_path = _config_path(arguments)
-    if config_path is not None:
-        defaults = load_config(config_path)
+    # --config is found before the rest is parsed: it holds the defaults of the other flags.
+    finder = ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
+    path: Path | None = finder.parse_known_args(arguments)[0].config
+    defaults = Config() if path is None else load_config(path)
     return tyro.cli(
         tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
         prog="run_slam",
@@ -82,39 +90,20 @@ def parse(arguments: list[str]) -> Arguments:
     )
 
 
-def _config_path(arguments: list[str]) -> Path | None:
-    """Find --config before the rest is parsed: it holds the defaults of the other flags."""
-    finder = ArgumentParser(add_help=False, allow_abbrev=False)
-    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
-    found: Path | None = finder.parse_known_args(arguments)[0].config
-    return found
-
-
-if TYPE_CHECKING:
-    from slam.datasets import Sequence, Sessions
-    from slam.evaluation.drift import DriftReport
-    from slam.system import Slam
-
-DEMO = "demo"
-BAD_USAGE = 2
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run `run_slam` and return its exit code: 0 good, 2 something the user can mend."""
     # A recognizer that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
     try:
         _run(parse(sys.argv[1:] if arguments is None else arguments))
-    except (SlamError, RecognizerError) as error:
-        return _fail(str(error))
+    except LoopcloseError as error:
+        problem = str(error)
     except KeyboardInterrupt:
-        return _fail("interrupted before the outputs were complete")
-    return 0
-
-
-def _fail(message: str) -> int:
-    print(f"run_slam: {message}", file=sys.stderr)
-    return BAD_USAGE
+        problem = "interrupted before the outputs were complete"
+    else:
+        return 0
+    print(f"run_slam: {problem}", file=sys.stderr)
+    return 2
 
 
 def _run(arguments: Arguments) -> None:
@@ -136,12 +125,13 @@ def _run(arguments: Arguments) -> None:
     if stopped and not slam.has_keyframes:
         raise stopped
     # What was done is worth the seconds that writing it takes, but to one who asks again.
-    is_second = isinstance(stopped, KeyboardInterrupt)
-    with nullcontext() if is_second else deferred_interrupts():
+    is_interrupted = isinstance(stopped, KeyboardInterrupt)
+    reason = "interrupted" if is_interrupted else str(stopped)
+    with nullcontext() if is_interrupted else deferred_interrupts():
         result = slam.finish()
         drift, doubts = _judge(result, sessions, arguments)
         if stopped:
-            doubts = (f"the run stopped early: {_why(stopped)}", *doubts)
+            doubts = (f"the run stopped early: {reason}", *doubts)
         result = replace(result, warnings=(*doubts, *sessions.warnings, *result.warnings))
         write_run(
             folder,
@@ -149,38 +139,30 @@ def _run(arguments: Arguments) -> None:
             drift,
             sessions.ground_truth,
             arguments.settings,
-            title=arguments.title,
-            command=shlex.join(
-                ["run_slam", *arguments.sequences, "--recognizer", arguments.recognizer]
-            ),
+            arguments.title,
+            shlex.join(["run_slam", *arguments.sequences, "--recognizer", arguments.recognizer]),
         )
     print(summary_table(result, drift, folder))
     if stopped:
-        raise SlamError(f"{_why(stopped)}; what was done until then is in {folder}")
+        raise SlamError(f"{reason}; what was done until then is in {folder}")
 
 
 def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
     from slam.datasets import open_sequence, resolve
 
-    if name == DEMO:
-        path = folder / "sequence"
-        if not path.exists():
-            _render_demo(path)
-    else:
-        with closing(_Bar("fetching", unit="B", unit_scale=True)) as bar:
-            path = resolve(name, bar)
+    if name != DEMO:
+        with _progress_bar("fetching", unit="B", unit_scale=True) as progress:
+            path = resolve(name, progress)
+    elif not (path := folder / "sequence").exists():
+        from slam.demo.recording import render_sequence
+
+        with _progress_bar("rendering", unit=" frames") as progress:
+            render_sequence(path, progress=progress)
     print(f"reading {path}", file=sys.stderr)
     sequence = open_sequence(path, arguments.settings.input)
     for warning in sequence.warnings:  # now, for they may tell why the run fails
         print(f"warning: {warning}", file=sys.stderr)
     return sequence
-
-
-def _render_demo(path: Path) -> None:
-    from slam.demo.recording import render_sequence
-
-    with closing(_Bar("rendering", unit=" frames")) as bar:
-        render_sequence(path, progress=bar)
 
 
 def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
@@ -194,7 +176,7 @@ def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
                     if interrupted.is_set():
                         return KeyboardInterrupt()
             slam.settle()  # if the recognizer failed on one of the last keyframes, say so
-        except (SlamError, RecognizerError) as stopped:
+        except LoopcloseError as stopped:
             return stopped
     return None
 
@@ -235,26 +217,16 @@ def _judge(
     return drift, ()
 
 
-def _why(stopped: BaseException) -> str:
-    return "interrupted" if isinstance(stopped, KeyboardInterrupt) else str(stopped)
+@contextmanager
+def _progress_bar(title: str, **options: object) -> Iterator[Progress]:
+    # The delay hides the bar where no progress is ever made.
+    with tqdm(desc=title, delay=1e-9, dynamic_ncols=True, **options) as bar:
 
+        def show(done: int, total: int | None) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
 
-class _Bar:
-    """A progress bar that appears with the first progress."""
-
-    def __init__(self, title: str, **options: object) -> None:
-        self._title = title
-        self._options = options
-        self._bar: tqdm | None = None
-
-    def __call__(self, done: int, total: int | None) -> None:
-        if self._bar is None:
-            self._bar = tqdm(desc=self._title, total=total, dynamic_ncols=True, **self._options)
-        self._bar.update(done - self._bar.n)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        yield show
 
 
 if __name__ == "__main__":

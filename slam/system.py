@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from placerec.errors import RecognizerError
@@ -9,7 +11,7 @@ from slam.config import Config
 from slam.loops.atlas import in_one_odometry_frame
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.map_adjustment import adjust_with_loops, at_tracked_poses, size_warning
+from slam.mapping.map_adjustment import adjust_with_loops, size_warning
 from slam.result import SlamResult
 from slam.stage_clock import StageClock
 from slam.tracking.frame_log import FrameLog, check_frame, checked_pose
@@ -17,15 +19,7 @@ from slam.tracking.given_poses import GivenPoses
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
-from slam.types import (
-    Camera,
-    FloatArray,
-    Frame,
-    LoopAttempt,
-    Rejection,
-    SlamError,
-    Trajectory,
-)
+from slam.types import Camera, FloatArray, Frame, LoopAttempt, Rejection, SlamError, Trajectory
 
 
 class Slam:
@@ -47,7 +41,7 @@ class Slam:
         self._front_end: RgbdOdometry | GivenPoses = self._odometry  # where frames come through
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
         self._frames = FrameLog()
-        self._last_s = -np.inf
+        self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
         self._session_starts_s: list[float] = []
 
@@ -55,10 +49,6 @@ class Slam:
     def has_keyframes(self) -> bool:
         """Whether there is anything to finish."""
         return not self._back_end.is_empty
-
-    @property
-    def _has_begun(self) -> bool:
-        return self._last_s > -np.inf
 
     def process(self, frame: Frame) -> TrackedFrame | Rejection:
         """Take the next frame of the camera and return where it was placed, or why it was not.
@@ -80,7 +70,7 @@ class Slam:
 
         Loops tell how the sessions lie to each other. The camera stays the same, and time goes on.
         """
-        self._is_new_session = self._has_begun
+        self._is_new_session = self._last_s > -np.inf
         self._odometry.start_session()
         self._given_poses.start_session()
 
@@ -99,11 +89,10 @@ class Slam:
         return self._back_end.settle()
 
     def _enter(self, front_end: RgbdOdometry | GivenPoses, frame: Frame) -> None:
-        if self._has_begun and front_end is not self._front_end:
-            raise SlamError(
-                f"this run goes through {self._front_end.door}; start another Slam for"
-                f" {front_end.door}"
-            )
+        if self._last_s > -np.inf and front_end is not self._front_end:
+            doors = ("process", "add_keyframe")
+            begun, other = doors if self._front_end is self._odometry else doors[::-1]
+            raise SlamError(f"this run goes through {begun}; start another Slam for {other}")
         self._front_end, self._last_s = front_end, frame.timestamp_s
         if self._is_new_session:
             self._session_starts_s.append(frame.timestamp_s)
@@ -146,7 +135,14 @@ class Slam:
             SlamError: no frame could be tracked.
             RecognizerError: the recognizer failed on the first keyframe.
         """
-        failures = self._last_failure()
+        left_out: tuple[str, ...] = ()
+        try:
+            self._back_end.settle()
+        except RecognizerError as error:
+            if not self._back_end.keyframes:
+                raise
+            first = len(self._back_end.keyframes)
+            left_out = (f"all from keyframe {first} on is left out: {error}",)
         keyframes = tuple(self._back_end.keyframes)
         if not keyframes:
             raise SlamError(
@@ -154,11 +150,14 @@ class Slam:
                 " scale and the images, or lower --odometry.min-inliers"
             )
         loops = self._back_end.solve(self._frames.per_keyframe())
-        T_world_kf, the_map = loops.T_world_kf, self._front_end.map
+        T_world_kf = loops.T_world_kf
         unadjusted: tuple[str, ...] = ()
-        if the_map is not None:
+        if self._front_end is self._odometry:
             self._odometry.settle()
-            keyframes = at_tracked_poses(the_map, keyframes)
+            the_map = self._odometry.map
+            keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
+                replace(each, T_odom_cam=the_map.keyframes[each.id].T_map_cam) for each in keyframes
+            )
             unadjusted = size_warning(len(keyframes))
             if not unadjusted:
                 with self.clock.stage("adjust"):
@@ -166,7 +165,8 @@ class Slam:
         keyframes = in_one_odometry_frame(keyframes, loops.links)
         has_place = np.isfinite(T_world_kf)
         T_odom_kf = np.array([each.T_odom_cam for each in keyframes])
-        calibration = self._back_end.calibration()
+        loop_closer = self._back_end.loop_closer
+        calibration = loop_closer.calibration()
         return SlamResult(
             camera=self._camera,
             keyframes=keyframes,
@@ -176,11 +176,11 @@ class Slam:
             links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
-            min_similarity=self._back_end.min_similarity,
+            min_similarity=loop_closer.min_similarity,
             untracked_s=self._frames.untracked_s(T_world_kf),
             stage_seconds=dict(self.clock.seconds),
             warnings=(
-                *failures,
+                *left_out,
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
@@ -191,16 +191,6 @@ class Slam:
             session_starts_s=np.array(self._session_starts_s),
             elapsed_s=self.clock.elapsed_s,
         )
-
-    def _last_failure(self) -> tuple[str, ...]:
-        try:
-            self._back_end.settle()
-        except RecognizerError as error:
-            if not self._back_end.keyframes:
-                raise
-            left_out = f"all from keyframe {len(self._back_end.keyframes)} on"
-            return (f"{left_out} is left out: {error}",)
-        return ()
 
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
         trajectory = self._frames.trajectory(T_any_kf)

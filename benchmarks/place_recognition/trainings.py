@@ -11,11 +11,11 @@ from pathlib import Path
 from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
 from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge
-from placerec.training.config import TrainingPlan
+from placerec.training.config import TrainingConfig
 from placerec.training.run import WEIGHTS_NAME, start_training, write_results
 from placerec.training.workers import Workers
 
-RECIPE = TrainingPlan(
+RECIPE = TrainingConfig(
     covariance=True,
     dimension=512,
     alpha=1.0,
@@ -71,7 +71,7 @@ class PlannedTraining:
     """
 
     name: str
-    plan: TrainingPlan
+    plan: TrainingConfig
     with_xyz: bool = False
     is_start: bool = False
 

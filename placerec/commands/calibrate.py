@@ -7,10 +7,11 @@ from typing import Annotated
 import tyro
 
 from placerec.certificate import TAIL, Certificate, write_certificate
-from placerec.commands.data import RECOGNIZER, embed_data, open_data
+from placerec.commands.data import RECOGNIZER, open_data, progress_bar
 from placerec.datasets import describe
 from placerec.errors import RecognizerError
 from placerec.evaluation import calibration
+from placerec.evaluation.embeddings import embed_dataset
 from placerec.recognizer import WEIGHTS_SUFFIX, load
 from placerec.recognizers import fitted_file
 
@@ -41,11 +42,20 @@ def calibrate(
             "say with --out FILE.json where to write it"
         )
     loaded, dataset = load(recognizer), open_data(data)
-    embeddings, _ = embed_data(recognizer, loaded, dataset)
+    with progress_bar(f"{recognizer} on {dataset.name}", len(dataset)) as progress:
+        embedded = embed_dataset(loaded, dataset, progress=progress)
     name = Path(recognizer).name if is_weights else recognizer
-    certificate = calibration.calibrate(name, loaded, dataset, embeddings)
+    certificate = calibration.calibrate(name, loaded, dataset, embedded.embeddings)
     kept = _keep(certificate, recognizer, out)
-    print(f"{describe(dataset)}\n{_summary(certificate)}\n{kept}")
+    low, high = certificate.threshold_interval
+    least, most = certificate.recall_interval
+    print(
+        f"{describe(dataset)}\n"
+        f"worth verifying from {certificate.min_similarity:.4f}: {TAIL:.0%} of the pairs of "
+        f"different places are so alike, and {certificate.recall_to_verify:.1%} of those of one "
+        f"place\nthreshold without an error {certificate.threshold:.4f} (95 % interval {low:.4f} "
+        f"to {high:.4f}), recall {certificate.recall:.3f} ({least:.3f} to {most:.3f})\n{kept}"
+    )
     return 0
 
 
@@ -62,14 +72,3 @@ def _keep(certificate: Certificate, weights: str, out: Path | None) -> str:
 
         path = keep_calibration(Path(weights), certificate)
     return f"min_similarity written to {weights}\ncertificate written to {path}"
-
-
-def _summary(certificate: Certificate) -> str:
-    low, high = certificate.threshold_interval
-    least, most = certificate.recall_interval
-    return (
-        f"worth verifying from {certificate.min_similarity:.4f}: {TAIL:.0%} of the pairs of "
-        f"different places are so alike, and {certificate.recall_to_verify:.1%} of those of one "
-        f"place\nthreshold without an error {certificate.threshold:.4f} (95 % interval {low:.4f} "
-        f"to {high:.4f}), recall {certificate.recall:.3f} ({least:.3f} to {most:.3f})"
-    )

@@ -10,12 +10,14 @@ from typing import Annotated
 import tyro
 
 from placerec.commands.data import RECOGNIZER
-from placerec.conformance import CHECKS, PLACES, SECTIONS, Examination, Finding, Verdict
+from placerec.conformance.examination import CHECKS, SECTIONS, Examination
+from placerec.conformance.made_images import PLACES
+from placerec.conformance.subject import Finding, Verdict
 from placerec.recognizer import load
 
-DOES_NOT_CONFORM = 1
-IN_A_MAP = 10_000
-WIDTH = max(len(check.name) for check in CHECKS)
+_DOES_NOT_CONFORM = 1
+_IN_A_MAP = 10_000
+_WIDTH = max(len(check.name) for check in CHECKS)
 
 
 def check(
@@ -36,8 +38,11 @@ def check(
         findings += found
     for line in _costs(examination):
         print(line)
-    print(f"\n{_summary(findings)}")
-    return DOES_NOT_CONFORM if any(finding.failed for finding in findings) else 0
+    counts = Counter(finding.verdict for finding in findings)
+    failed, not_tried = counts[Verdict.FAILED], counts[Verdict.NOT_TRIED]
+    what = f"{failed} of {len(findings)} checks failed" if failed else "all checks passed"
+    print(f"\n{what}" + (f", {not_tried} not tried" if not_tried else ""))
+    return _DOES_NOT_CONFORM if failed else 0
 
 
 def _rows(findings: list[Finding]) -> Iterator[str]:
@@ -54,7 +59,7 @@ def _rows(findings: list[Finding]) -> Iterator[str]:
 
 
 def _row(verdict: str, name: str, measured: str) -> str:
-    return f"  {verdict:<4}  {name:<{WIDTH}}  {measured}"
+    return f"  {verdict:<4}  {name:<{_WIDTH}}  {measured}"
 
 
 def _costs(examination: Examination) -> Iterator[str]:
@@ -62,15 +67,9 @@ def _costs(examination: Examination) -> Iterator[str]:
     if cost:
         kb = cost.embedding_bytes / 1e3
         yield _row("", "to embed 640x480", f"{cost.embed_ms:.1f} ms")
-        yield _row("", f"to compare with {IN_A_MAP:,}", f"{cost.compare_ms * IN_A_MAP:.1f} ms")
-        yield _row("", f"to keep {IN_A_MAP:,}", f"{kb * IN_A_MAP / 1e3:,.1f} MB, {kb:.1f} kB each")
+        yield _row("", f"to compare with {_IN_A_MAP:,}", f"{cost.compare_ms * _IN_A_MAP:.1f} ms")
+        yield _row(
+            "", f"to keep {_IN_A_MAP:,}", f"{kb * _IN_A_MAP / 1e3:,.1f} MB, {kb:.1f} kB each"
+        )
     if isfinite(own_mb):
         yield _row("", "to load and to work", f"{own_mb:.0f} MB, its libraries included")
-
-
-def _summary(findings: list[Finding]) -> str:
-    counts = Counter(finding.verdict for finding in findings)
-    untried = f", {counts[Verdict.NOT_TRIED]} not tried" if counts[Verdict.NOT_TRIED] else ""
-    failed = counts[Verdict.FAILED]
-    what = f"{failed} of {len(findings)} checks failed" if failed else "all checks passed"
-    return f"{what}{untried}"

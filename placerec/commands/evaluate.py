@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from placerec.commands.data import RECOGNIZER, open_data, progress_bar
-from placerec.datasets import PlaceDataset, describe
+from placerec.commands.data import RECOGNIZER, Data, open_data, progress_bar
+from placerec.datasets import describe
 from placerec.errors import RecognizerError
 from placerec.evaluation.measurement import Failed, Measurement, measure
 from placerec.evaluation.precision_recall import refuse_without_truth
@@ -16,23 +16,18 @@ from placerec.evaluation.tables import LEGEND, evaluation_csv, evaluation_table,
 from placerec.files import write_atomically
 from placerec.recognizer import PlaceRecognizer, available, load
 
-ALL = "all"
-SOMETHING_FAILED = 1
-DEFAULT_OUT = Path("runs") / "evaluation"
+_ALL = "all"
+_SOMETHING_FAILED = 1
 
 
 def evaluate(
-    data: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
-    ],
+    data: Data,
     /,
     recognizers: Annotated[
         tuple[str, ...],
         tyro.conf.arg(metavar=f"{RECOGNIZER}|all ...", help_behavior_hint="(default: all)"),
-    ] = (ALL,),
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = DEFAULT_OUT,
+    ] = (_ALL,),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluation"),
     cache: bool = True,
 ) -> int:
     """Measure how well recognizers tell places apart, and what they cost.
@@ -66,16 +61,23 @@ def evaluate(
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
     try:
         # All that may be wrong with what was asked is found before the long work.
-        loaded = _load_all(recognizers or (ALL,))
+        loaded = _load_all(recognizers or (_ALL,))
         rows = _measure_all(data, loaded, out, cache)
         print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
         print("".join(f"{note}\n" for note in notes(rows)), end="")
-        _write(rows, out)
+        write_atomically(out / "results.csv", evaluation_csv(rows).encode())
+        # Loaded here, because drawing takes a second to load that the other commands do not need.
+        from placerec.evaluation.report.page import render
+
+        with progress_bar("drawing", len(rows), "figure") as progress:
+            page = render(rows, progress)
+        write_atomically(out / "index.html", page.encode())
+        print(f"written to {out / 'index.html'} and results.csv")
     except KeyboardInterrupt:
         raise RecognizerError("stopped; embeddings that were kept are not made again") from None
     left_out = {name for name, each in loaded.items() if isinstance(each, RecognizerError)}
     failed = {row.recognizer for row in rows if isinstance(row, Failed)}
-    return SOMETHING_FAILED if failed - left_out else 0
+    return _SOMETHING_FAILED if failed - left_out else 0
 
 
 def _measure_all(
@@ -87,12 +89,20 @@ def _measure_all(
     datasets = [open_data(source) for source in sources]
     for dataset in datasets:
         refuse_without_truth(dataset)
-    _make_folder(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecognizerError(f"cannot make the folder: {error.strerror}: {out}") from error
     rows: list[Measurement] = []
     for dataset in datasets:
         for name, recognizer in loaded.items():
+            if isinstance(recognizer, RecognizerError):
+                rows.append(Failed(dataset, name, str(recognizer)))
+                continue
             turn = f"{len(rows) + 1}/{len(datasets) * len(loaded)}"
-            rows.append(_measure(turn, name, recognizer, dataset, use_cache))
+            with progress_bar(f"{turn} {name} on {dataset.name}", len(dataset)) as progress:
+                found = measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
+            rows.append(found)
         print(describe(dataset))
     return rows
 
@@ -101,43 +111,11 @@ def _load_all(names: Sequence[str]) -> dict[str, PlaceRecognizer | RecognizerErr
     """Return what was named, each once; of all that are installed, some may not be loadable."""
     loaded: dict[str, PlaceRecognizer | RecognizerError] = {}
     for name in names:
-        if name != ALL:
-            loaded[name] = load(name)
-            continue
-        for installed in available():
+        for each in available() if name == _ALL else (name,):
             try:
-                loaded[installed] = load(installed)
+                loaded[each] = load(each)
             except RecognizerError as error:
-                loaded[installed] = error
+                if name != _ALL:
+                    raise
+                loaded[each] = error
     return loaded
-
-
-def _measure(
-    turn: str,
-    name: str,
-    recognizer: PlaceRecognizer | RecognizerError,
-    dataset: PlaceDataset,
-    use_cache: bool,
-) -> Measurement:
-    if isinstance(recognizer, RecognizerError):
-        return Failed(dataset, name, str(recognizer))
-    with progress_bar(f"{turn} {name} on {dataset.name}", len(dataset)) as progress:
-        return measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecognizerError(f"cannot make the folder: {error.strerror}: {folder}") from error
-
-
-def _write(rows: Sequence[Measurement], folder: Path) -> None:
-    # Loaded here, because drawing takes a second to load that the other commands do not need.
-    from placerec.evaluation.report import render
-
-    write_atomically(folder / "results.csv", evaluation_csv(rows).encode())
-    with progress_bar("drawing", len(rows), "figure") as progress:
-        page = render(rows, progress)
-    write_atomically(folder / "index.html", page.encode())
-    print(f"written to {folder / 'index.html'} and results.csv")

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`placerec fit`: learn from images without labels what a recognizer needs before it works."""
 
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -12,8 +10,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from placerec.commands.data import open_images, progress_bar
+from placerec.commands.data import Data, open_data, progress_bar, with_skipped_named
 from placerec.datasets import PlaceDataset
+from placerec.datasets.images import images_in
+from placerec.datasets.place_dataset import keep_readable
 from placerec.errors import RecognizerError
 from placerec.files import Progress
 from placerec.recognizer import WEIGHTS_SUFFIX, cause_of, find, imported
@@ -28,11 +28,7 @@ The recognizer's constructor takes the path of what `write_fitted` makes of the 
 
 def fit(
     recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
-    data: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
-    ],
+    data: Data,
     /,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     seed: int = 0,
@@ -57,10 +53,19 @@ def fit(
     learn = cast(Fit | None, getattr(made, "fit", None))
     if learn is None:
         raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
-    datasets = [open_images(source) for source in data]
-    count = sum(len(dataset) for dataset in datasets)
+    datasets = [_open_images(source) for source in data]
+    count = sum(map(len, datasets))
     with progress_bar(f"fitting {recognizer}", count) as progress:
-        fitted = _learned(recognizer, learn, _Images(datasets, progress), seed)
+        try:
+            fitted: object = learn(_Images(datasets, progress), seed)
+        except RecognizerError:
+            raise
+        except Exception as error:
+            why = cause_of(error)
+            raise RecognizerError(f"recognizer {recognizer!r} failed to learn: {why}") from error
+    if not isinstance(fitted, Fitted):
+        kind = type(fitted).__name__
+        raise RecognizerError(f"recognizer {recognizer!r} learned a {kind}; fit returns a Fitted")
     names = tuple(dataset.name for dataset in datasets)
     threshold: Any = getattr(made, "min_similarity", None)
     write_fitted(path, recognizer, replace(fitted, trained_on=names, min_similarity=threshold))
@@ -80,33 +85,29 @@ def _refuse(recognizer: str, data: Sequence[str], out: Path, seed: int) -> None:
             raise RecognizerError(f"fit needs {what}; see --help: {out}")
 
 
-def _learned(recognizer: str, learn: Fit, images: "_Images", seed: int) -> Fitted:
-    try:
-        fitted: object = learn(images, seed)
-    except RecognizerError:
-        raise
-    except Exception as error:
-        why = cause_of(error)
-        raise RecognizerError(f"recognizer {recognizer!r} failed to learn: {why}") from error
-    if not isinstance(fitted, Fitted):
-        kind = type(fitted).__name__
-        raise RecognizerError(f"recognizer {recognizer!r} learned a {kind}; fit returns a Fitted")
-    return fitted
+def _open_images(source: str) -> PlaceDataset:
+    """Open a dataset to learn from without its truth, or just a folder of images."""
+    folder = Path(source)
+    paths = tuple(images_in(folder)) if folder.is_dir() else ()
+    if not paths:
+        return open_data(source, "train")
+    # No query and no reference: nothing is compared.
+    nobody, nothing = np.empty(0, np.int64), np.empty((0, 0), np.bool_)
+    dataset = PlaceDataset(folder.resolve().name, paths, nobody, nobody, nothing, nothing)
+    return with_skipped_named(keep_readable(dataset))
 
 
 class _Images(Sequence[NDArray[np.uint8]]):
     """The images of some datasets, one dataset after the other, decoded when they are asked for."""
 
     def __init__(self, datasets: Sequence[PlaceDataset], progress: Progress) -> None:
-        self._datasets, self._progress = datasets, progress
-        self._ends = list(accumulate(len(dataset) for dataset in datasets))
+        self._where = [(dataset, i) for dataset in datasets for i in range(len(dataset))]
+        self._progress = progress
 
     def __len__(self) -> int:
-        return self._ends[-1]
+        return len(self._where)
 
     def __getitem__(self, index: Any, /) -> Any:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        k = bisect_right(self._ends, index)
+        dataset, i = self._where[index]
         self._progress(index + 1, len(self))
-        return self._datasets[k][index - self._ends[k] + len(self._datasets[k])]
+        return dataset[i]

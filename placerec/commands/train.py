@@ -3,30 +3,24 @@
 
 from contextlib import closing
 from pathlib import Path
-from threading import Event
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from tqdm import tqdm
 
-from placerec.commands.data import open_all
-from placerec.datasets import LabelledImages
+from placerec.commands.data import Data, with_skipped_named
+from placerec.datasets import LabelledImages, open_collection
 from placerec.errors import RecognizerError, deferred_interrupts
-from placerec.training.config import TrainingPlan
+from placerec.training.config import TrainingConfig
 
-if TYPE_CHECKING:
-    from placerec.training.loop import Training
+_DEFAULTS = TrainingConfig(augment=True)
 
 
 def train(
-    data: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="DATA ...", help_behavior_hint="(at least one)"),
-    ],
+    data: Data,
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    plan: Annotated[TrainingPlan, tyro.conf.arg(name="")],
+    config: Annotated[TrainingConfig, tyro.conf.arg(name="")] = _DEFAULTS,
 ) -> int:
     """Train a recognizer on images of known places; the same command goes on with a stopped one.
 
@@ -40,7 +34,7 @@ def train(
             training. At each recording drawn for a round, each of them has the same chance, and the
             fully connected layer starts from as many images of each.
         out: folder for the results and the checkpoint.
-        plan: what is trained, and how.
+        config: what is trained, and how.
     """
     # Loaded here, because torch takes seconds that the other commands do not need.
     from placerec.training.run import start_training, write_results
@@ -48,19 +42,40 @@ def train(
 
     if not data:
         raise RecognizerError("train needs at least one folder of images; see --help")
-    collections = [open_all(source, "train") for source in data]
+    collections = [
+        [with_skipped_named(dataset) for dataset in open_collection(source, "train")]
+        for source in data
+    ]
     images, workers = LabelledImages(*collections), Workers()
-    with deferred_interrupts() as interrupted:
-        bar = _TrainingBar(plan.steps, interrupted, is_shown=workers.is_first)
+    hidden = None if workers.is_first else True
+    with (
+        deferred_interrupts() as interrupted,
+        tqdm(total=config.steps, desc="training", unit="step", leave=False, disable=hidden) as bar,
+    ):
+
+        def show(what: str) -> None:
+            bar.set_postfix_str(what)
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+
+        def look(done: int, total: int | None) -> None:
+            show(f"looking at image {done} of {total}")
+
         try:
-            training = start_training(plan, images, out, workers, bar.look)
-            bar.follow(training)
+            training = start_training(config, images, out, workers, look)
+            # Closed, it writes its checkpoint at once.
+            with closing(iter(training)) as records:
+                for record in records:
+                    bar.update(record.step - bar.n)
+                    show(
+                        f"loss {record.loss:.3f}, {record.sets_left} sets left, "
+                        f"{record.images_per_s:.0f} images/s, "
+                        f"{record.time_to_go_s / 60:.1f} min to go"
+                    )
         except KeyboardInterrupt:
             raise RecognizerError(f"stopped; the same command goes on from here: {out}") from None
-        finally:
-            bar.close()
     if workers.is_first:
-        path = write_results(training, plan, out)
+        path = write_results(training, config, out)
         skipped = sum(len(dataset.skipped) for each in collections for dataset in each)
         print(
             f"the training is over: {training.end}\n"
@@ -68,31 +83,3 @@ def train(
             f"written to {path}, not calibrated yet"
         )
     return 0
-
-
-class _TrainingBar:
-    """What a training is doing, in one line."""
-
-    def __init__(self, steps: int | None, interrupted: Event, *, is_shown: bool) -> None:
-        self._interrupted = interrupted
-        hidden = None if is_shown else True
-        self._bar = tqdm(total=steps, desc="training", unit="step", leave=False, disable=hidden)
-        self.close = self._bar.close
-
-    def look(self, done: int, total: int | None) -> None:
-        self._show(f"looking at image {done} of {total}")
-
-    def follow(self, training: "Training") -> None:
-        # Closed, it writes its checkpoint at once.
-        with closing(iter(training)) as records:
-            for record in records:
-                self._bar.update(record.step - self._bar.n)
-                self._show(
-                    f"loss {record.loss:.3f}, {record.sets_left} sets left, "
-                    f"{record.images_per_s:.0f} images/s, {record.time_to_go_s / 60:.1f} min to go"
-                )
-
-    def _show(self, what: str) -> None:
-        self._bar.set_postfix_str(what)
-        if self._interrupted.is_set():
-            raise KeyboardInterrupt

@@ -8,69 +8,100 @@ from contextlib import redirect_stdout
 import numpy as np
 
 from placerec.checked_recognizer import MAX_LENGTH_ERROR, CheckedRecognizer
-from placerec.conformance.made_images import Image, colourless, odd_sizes, places
-from placerec.conformance.subject import Check, Outcome, Subject, judged, not_tried
+from placerec.conformance.made_images import Image, places
+from placerec.conformance.subject import Outcome, Subject, as_check
 from placerec.errors import RecognizerError
 
-NUMBERS = "returns numbers"
-SHAPE = "one shape"
-FINITE = "finite"
-MEMBERS = "its other members"
-LENGTH = "unit length"
-SHOWN = 40
 
-
+@as_check(
+    "returns numbers",
+    "embed(image) takes a (480, 640, 3) uint8 RGB array and returns a (D,) float32 array",
+)
 def _returns_numbers(subject: Subject) -> Outcome:
     answer: object = subject.recognizer.embed(places()[0])
     values = np.asarray(answer)
     if not np.issubdtype(values.dtype, np.number):  # None would be a NaN
-        return judged(False, f"a {type(answer).__name__}, which is not an array of numbers")
-    return judged(values.size > 0, f"{values.size} of them")
+        return False, f"a {type(answer).__name__}, which is not an array of numbers"
+    return values.size > 0, f"{values.size} of them"
 
 
-def _members(subject: Subject) -> Outcome:
+@as_check(
+    "its other members",
+    "see placerec.recognizer.PlaceRecognizer; `placerec calibrate` finds min_similarity",
+)
+def other_members(subject: Subject) -> Outcome:
+    """Whatever else the protocol names is what it must be."""
     try:
         checked = CheckedRecognizer(subject.recognizer)
     except RecognizerError as error:
-        return judged(False, f"{error}")
+        return False, f"{error}"
     looks_back = f"by itself, looking back {checked.looks_back}"
     how = looks_back if subject.compares else "by cosine"
-    return judged(True, f"compares {how}, min_similarity {checked.min_similarity:.4g}")
+    return True, f"compares {how}, min_similarity {checked.min_similarity:.4g}"
 
 
-def _shape(subject: Subject) -> Outcome:
+@as_check(
+    "one shape",
+    "return (D,) for every image: embedding[0] of a batch of one, embedding.ravel() of a map",
+    _returns_numbers,
+)
+def one_shape(subject: Subject) -> Outcome:
+    """Embeddings are vectors of one length, or arrays that it compares itself."""
     shapes = sorted({embedding.shape for embedding in subject.embeddings})
     is_fixed = len(shapes) == 1 and len(shapes[0]) > 0
     is_good = is_fixed and (len(shapes[0]) == 1 or subject.compares)
-    return judged(is_good, " and ".join(map(str, shapes)))
+    return is_good, " and ".join(map(str, shapes))
 
 
-def _dtype(subject: Subject) -> Outcome:
+@as_check("float32", "return np.asarray(embedding, np.float32)", _returns_numbers)
+def _float32(subject: Subject) -> Outcome:
     answer: object = subject.recognizer.embed(places()[0])
     seen = str(answer.dtype) if isinstance(answer, np.ndarray) else f"a {type(answer).__name__}"
-    return judged(seen == "float32", seen)
+    return seen == "float32", seen
 
 
-def _finite(subject: Subject) -> Outcome:
+@as_check(
+    "finite",
+    "look for a division by 0, a root or a logarithm of what is not above 0",
+    _returns_numbers,
+)
+def finite(subject: Subject) -> Outcome:
+    """No value is NaN or infinite."""
     is_finite = np.isfinite(np.concatenate([embedding.ravel() for embedding in subject.embeddings]))
     bad = int((~is_finite).sum())
-    return judged(bad == 0, f"{bad} of {is_finite.size} values are NaN or infinite")
+    return bad == 0, f"{bad} of {is_finite.size} values are NaN or infinite"
 
 
-def _unit_length(subject: Subject) -> Outcome:
+@as_check("unit length", "return embedding / np.linalg.norm(embedding)", one_shape, finite)
+def unit_length(subject: Subject) -> Outcome:
+    """Embeddings lie on the unit sphere, unless it compares them itself."""
     if subject.compares:
-        return not_tried("not needed: it compares embeddings by itself")
+        return None, "not needed: it compares embeddings by itself"
     lengths = [float(np.linalg.norm(embedding)) for embedding in subject.embeddings]
     good = np.allclose(lengths, 1.0, rtol=0.0, atol=MAX_LENGTH_ERROR)
-    return judged(good, f"lengths {min(lengths):.6g} to {max(lengths):.6g}")
+    return good, f"lengths {min(lengths):.6g} to {max(lengths):.6g}"
 
 
+@as_check(
+    "grey and empty images",
+    "where pixels are alike, deviations and lengths are 0: add a little before dividing",
+    unit_length,
+)
 def _colourless(subject: Subject) -> Outcome:
-    return _like_the_others(subject, ("grey", "black", "white", "one hue"), colourless())
+    grey = places()[0].mean(axis=2, keepdims=True).astype(np.uint8).repeat(3, axis=2)
+    plain = [np.full_like(grey, colour) for colour in (0, 255, (200, 40, 90))]
+    return _like_the_others(subject, ("grey", "black", "white", "one hue"), [grey, *plain])
 
 
+@as_check(
+    "images of any size",
+    "resize within embed: callers hand images over as they come from the camera",
+    unit_length,
+)
 def _any_size(subject: Subject) -> Outcome:
-    images = odd_sizes()
+    wall = places()[0]
+    cut = [wall[:241, :319], wall[:97, :641], wall[:480, :161], wall.repeat(2, 0).repeat(2, 1)]
+    images = [np.ascontiguousarray(image) for image in cut]
     return _like_the_others(subject, [f"{i.shape[1]}x{i.shape[0]}" for i in images], images)
 
 
@@ -80,89 +111,43 @@ def _like_the_others(subject: Subject, titles: Sequence[str], images: list[Image
         try:
             embedding = subject.embed(image)
         except Exception as error:
-            return judged(False, f"{title}: {subject.explain(error)}")
+            return False, f"{title}: {subject.explain(error)}"
         if embedding.shape != usual:
-            return judged(False, f"{title}: shape {embedding.shape}, of others {usual}")
+            return False, f"{title}: shape {embedding.shape}, of others {usual}"
         if not np.isfinite(embedding).all():
-            return judged(False, f"{title}: values that are NaN or infinite")
+            return False, f"{title}: values that are NaN or infinite"
         length = float(np.linalg.norm(embedding))
         if not (subject.compares or abs(length - 1.0) <= MAX_LENGTH_ERROR):
-            return judged(False, f"{title}: a vector of length {length:.6g}")
-    return judged(True, f"{', '.join(titles)}: all {usual}")
+            return False, f"{title}: a vector of length {length:.6g}"
+    return True, f"{', '.join(titles)}: all {usual}"
 
 
+@as_check("leaves the image alone", "it is used after you: work on image.copy()", _returns_numbers)
 def _leaves_image(subject: Subject) -> Outcome:
     image = places()[0]
     before = image.copy()
     subject.recognizer.embed(image)
     changed = int((before != image).sum())
-    return judged(changed == 0, f"{changed} values changed")
+    return changed == 0, f"{changed} values changed"
 
 
+@as_check("prints nothing", "stdout belongs to the commands: use logging", _returns_numbers)
 def _prints_nothing(subject: Subject) -> Outcome:
     with redirect_stdout(io.StringIO()) as printed:
         subject.embed(places()[0])
     text = printed.getvalue()
-    return judged(not text, f"{len(text)} characters" + (f": {text[:SHOWN]!r}" if text else ""))
+    return not text, f"{len(text)} characters" + (f": {text[:40]!r}" if text else "")
 
 
 CHECKS = (
-    Check(
-        NUMBERS,
-        _returns_numbers,
-        "embed(image) takes a (480, 640, 3) uint8 RGB array and returns a (D,) float32 array",
-    ),
-    Check(
-        MEMBERS,
-        _members,
-        "see placerec.recognizer.PlaceRecognizer; `placerec calibrate` finds min_similarity",
-    ),
-    Check(
-        SHAPE,
-        _shape,
-        "return (D,) for every image: embedding[0] of a batch of one, embedding.ravel() of a map",
-        needs=(NUMBERS,),
-    ),
-    Check(
-        "float32",
-        _dtype,
-        "return np.asarray(embedding, np.float32)",
-        needs=(NUMBERS,),
-    ),
-    Check(
-        FINITE,
-        _finite,
-        "look for a division by 0, a root or a logarithm of what is not above 0",
-        needs=(NUMBERS,),
-    ),
-    Check(
-        LENGTH,
-        _unit_length,
-        "return embedding / np.linalg.norm(embedding)",
-        needs=(SHAPE, FINITE),
-    ),
-    Check(
-        "grey and empty images",
-        _colourless,
-        "where pixels are alike, deviations and lengths are 0: add a little before dividing",
-        needs=(LENGTH,),
-    ),
-    Check(
-        "images of any size",
-        _any_size,
-        "resize within embed: callers hand images over as they come from the camera",
-        needs=(LENGTH,),
-    ),
-    Check(
-        "leaves the image alone",
-        _leaves_image,
-        "it is used after you: work on image.copy()",
-        needs=(NUMBERS,),
-    ),
-    Check(
-        "prints nothing",
-        _prints_nothing,
-        "stdout belongs to the commands: use logging",
-        needs=(NUMBERS,),
-    ),
+    _returns_numbers,
+    other_members,
+    one_shape,
+    _float32,
+    finite,
+    unit_length,
+    _colourless,
+    _any_size,
+    _leaves_image,
+    _prints_nothing,
 )

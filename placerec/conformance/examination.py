@@ -10,15 +10,7 @@ import numpy as np
 
 from placerec.conformance import answer, recognition, repetition
 from placerec.conformance.made_images import places
-from placerec.conformance.subject import (
-    Check,
-    Finding,
-    NamelessError,
-    Outcome,
-    Subject,
-    Verdict,
-    not_tried,
-)
+from placerec.conformance.subject import Check, Finding, NamelessError, Outcome, Subject, Verdict
 from placerec.evaluation.measurement import Cost, measure_cost
 from placerec.recognizer import PlaceRecognizer
 
@@ -29,7 +21,6 @@ SECTIONS = {
     "what it costs on this machine": repetition.COSTS,
 }
 CHECKS: tuple[Check, ...] = tuple(check for checks in SECTIONS.values() for check in checks)
-_BY_NAME = {check.name: check for check in CHECKS}
 
 
 @dataclass(frozen=True)
@@ -65,14 +56,14 @@ class Examination:
     def find(self, check: Check) -> Finding:
         """Return what a check finds; a recognizer that raises has failed it."""
         if check.name not in self._findings:
-            obstacle = self._obstacle(check)
-            outcome = not_tried(f"first mend {obstacle!r}") if obstacle else self._outcome(check)
-            self._findings[check.name] = Finding(check, outcome.verdict, outcome.measured)
+            passed, measured = self._outcome(check)
+            verdict = {True: Verdict.PASSED, False: Verdict.FAILED, None: Verdict.NOT_TRIED}[passed]
+            self._findings[check.name] = Finding(check, verdict, measured)
         return self._findings[check.name]
 
     def cost(self) -> Cost | None:
         """Return what an image costs on this machine, None where it cannot be measured."""
-        if self.find(_BY_NAME[recognition.SIMILARITIES]).verdict is not Verdict.PASSED:
+        if self.find(recognition.similarities).verdict is not Verdict.PASSED:
             return None
         images, ticks = places(), [perf_counter()]
         with redirect_stdout(io.StringIO()):
@@ -84,23 +75,24 @@ class Examination:
 
     def own_mb(self) -> float:
         """Return the memory that one of its kind took in a process of its own, NaN if unknown."""
-        is_known = self.find(_BY_NAME[repetition.FRESH]).verdict is Verdict.PASSED
+        is_known = self.find(repetition.fresh_process).verdict is Verdict.PASSED
         return self._subject.fresh_run.own_mb if is_known else float("nan")
 
     def _obstacle(self, check: Check) -> str | None:
         """Return the name of the failed check for which this one would say nothing new."""
-        for name in check.needs:
-            needed = _BY_NAME[name]
-            obstacle = name if self.find(needed).failed else self._obstacle(needed)
+        for needed in check.needs:
+            obstacle = needed.name if self.find(needed).failed else self._obstacle(needed)
             if obstacle:
                 return obstacle
         return None
 
     def _outcome(self, check: Check) -> Outcome:
+        if obstacle := self._obstacle(check):
+            return None, f"first mend {obstacle!r}"
         with redirect_stdout(io.StringIO()):  # what it prints has a check of its own
             try:
                 return check.run(self._subject)
             except NamelessError as reason:
-                return not_tried(f"{reason}")
+                return None, f"{reason}"
             except Exception as error:
-                return Outcome(Verdict.FAILED, self._subject.explain(error))
+                return False, self._subject.explain(error)

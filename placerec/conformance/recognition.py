@@ -1,58 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks that embeddings can be compared, and that a place is known again."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from placerec.checked_recognizer import CheckedRecognizer, flaw_in
-from placerec.conformance.answer import LENGTH, MEMBERS
-from placerec.conformance.made_images import (
-    BRIGHTER,
-    DARKER,
-    PLACES,
-    SHIFT_PX,
-    Image,
-    places,
-    relit,
-)
-from placerec.conformance.subject import Check, Outcome, Subject, judged, not_tried
+from placerec.conformance.answer import other_members, unit_length
+from placerec.conformance.made_images import PLACES, SHIFT_PX, Image, places
+from placerec.conformance.subject import Outcome, Subject, as_check
 
-SIMILARITIES = "similarities from -1 to 1"
-ALONE = "leaves embeddings alone"
-ITSELF = "an image itself"
-TIE = 1e-6
+_GAINS = (0.8, 1.25)
+_TIE = 1e-6
 """Places less apart than this are one to the recognizer, and none of them is found."""
-ROUNDING = 1e-5
+_ROUNDING = 1e-5
 """Similarities may differ by as much, for sums are taken in another order."""
 
 
-def _similarities(subject: Subject) -> Outcome:
+@as_check(
+    "similarities from -1 to 1",
+    "compare(queries, references) returns (Q, R): more alike is larger, 1 is the most",
+    unit_length,
+)
+def similarities(subject: Subject) -> Outcome:
+    """Embeddings can be compared."""
     embeddings = np.stack(subject.embeddings)
     # Fewer queries than references: whoever takes the one for the other is found out.
     queries = embeddings[1:].copy()
     answer: object = subject.comparer.compare(queries, embeddings)
     flaw = flaw_in(answer, (len(queries), len(embeddings)))
     if flaw:
-        return judged(False, flaw)
+        return False, flaw
     values = np.asarray(answer)
-    return judged(True, f"{values.size} of them, {values.min():.3f} to {values.max():.3f}")
+    return True, f"{values.size} of them, {values.min():.3f} to {values.max():.3f}"
 
 
+@as_check(
+    "leaves embeddings alone",
+    "they are the map's own: subtract into a new array, or work on references.copy()",
+    similarities,
+)
 def _leaves_embeddings(subject: Subject) -> Outcome:
     references = np.stack(subject.embeddings)
     queries = references[1:].copy()
     subject.comparer.compare(queries, references)
     before = np.stack(subject.embeddings)
     changed = int((references != before).sum() + (queries != before[1:]).sum())
-    return judged(changed == 0, f"{changed} values changed")
+    return changed == 0, f"{changed} values changed"
 
 
+@as_check(
+    "queries one at a time",
+    "let looks_back say how many queries before the last matter to its similarities",
+    _leaves_embeddings,
+    other_members,
+)
 def _one_by_one(subject: Subject) -> Outcome:
     looks_back = CheckedRecognizer(subject.recognizer).looks_back
     if looks_back >= PLACES - 1:
-        return not_tried(f"it looks back {looks_back}, over all {PLACES} pictures")
+        return None, f"it looks back {looks_back}, over all {PLACES} pictures"
     embeddings = np.stack(subject.embeddings)
     together = subject.comparer.compare(embeddings, embeddings)
     alone = [
@@ -60,74 +64,52 @@ def _one_by_one(subject: Subject) -> Outcome:
         for i in range(PLACES)
     ]
     gap = float(np.abs(together - np.stack(alone)).max())
-    return judged(gap <= ROUNDING, f"largest difference {gap:.2g}")
+    return gap <= _ROUNDING, f"largest difference {gap:.2g}"
 
 
+@as_check(
+    "an image itself",
+    "different pictures must differ in their embeddings, and by more than rounding",
+    _leaves_embeddings,
+)
 def _itself(subject: Subject) -> Outcome:
     return _found(subject, places())
 
 
+@as_check(
+    "darker and brighter",
+    "subtract the mean, divide by the deviation, or look at gradients rather than at values",
+    _itself,
+)
 def _relit(subject: Subject) -> Outcome:
-    return _found(subject, relit(places(), DARKER), relit(places(), BRIGHTER))
+    # As a shorter or longer exposure shows them; what is too bright is white.
+    lit = [[np.clip(i * gain, 0, 255).astype(np.uint8) for i in places()] for gain in _GAINS]
+    return _found(subject, *lit)
 
 
+@as_check(
+    f"shifted by {SHIFT_PX} pixels",
+    "let neighbours count together: blur, or pool over regions, before comparing",
+    _itself,
+)
 def _shifted(subject: Subject) -> Outcome:
     return _found(subject, places(SHIFT_PX))
 
 
 def _found(subject: Subject, *rounds: list[Image]) -> Outcome:
     """Look for views of all places, seen in the order in which the places were."""
-    similarities = np.concatenate([_compared(subject, views) for views in rounds])
+    references = np.stack(subject.embeddings)
+    embedded = [np.stack([subject.embed(view) for view in views]) for views in rounds]
+    found = [np.asarray(subject.comparer.compare(queries, references)) for queries in embedded]
+    values = np.concatenate(found)
     is_own = np.tile(np.eye(PLACES, dtype=np.bool_), (len(rounds), 1))
-    own, others = similarities[is_own], np.where(is_own, -np.inf, similarities).max(axis=1)
-    right = int((own > others + TIE).sum())
-    return judged(
+    own, others = values[is_own], np.where(is_own, -np.inf, values).max(axis=1)
+    right = int((own > others + _TIE).sum())
+    return (
         right == len(own),
         f"{right} of {len(own)} found; similarity at least {own.min():.3f}, "
         f"to others at most {others.max():.3f}",
     )
 
 
-def _compared(subject: Subject, views: list[Image]) -> NDArray[Any]:
-    queries = np.stack([subject.embed(view) for view in views])
-    return np.asarray(subject.comparer.compare(queries, np.stack(subject.embeddings)))
-
-
-CHECKS = (
-    Check(
-        SIMILARITIES,
-        _similarities,
-        "compare(queries, references) returns (Q, R): more alike is larger, 1 is the most",
-        needs=(LENGTH,),
-    ),
-    Check(
-        ALONE,
-        _leaves_embeddings,
-        "they are the map's own: subtract into a new array, or work on references.copy()",
-        needs=(SIMILARITIES,),
-    ),
-    Check(
-        "queries one at a time",
-        _one_by_one,
-        "let looks_back say how many queries before the last matter to its similarities",
-        needs=(ALONE, MEMBERS),
-    ),
-    Check(
-        ITSELF,
-        _itself,
-        "different pictures must differ in their embeddings, and by more than rounding",
-        needs=(ALONE,),
-    ),
-    Check(
-        "darker and brighter",
-        _relit,
-        "subtract the mean, divide by the deviation, or look at gradients rather than at values",
-        needs=(ITSELF,),
-    ),
-    Check(
-        f"shifted by {SHIFT_PX} pixels",
-        _shifted,
-        "let neighbours count together: blur, or pool over regions, before comparing",
-        needs=(ITSELF,),
-    ),
-)
+CHECKS = (similarities, _leaves_embeddings, _one_by_one, _itself, _relit, _shifted)

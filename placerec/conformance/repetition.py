@@ -13,53 +13,62 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.conformance.answer import FINITE, SHAPE
+from placerec.conformance.answer import finite, one_shape
 from placerec.conformance.made_images import places
-from placerec.conformance.subject import Check, Outcome, Subject, judged, not_tried
+from placerec.conformance.subject import Outcome, Subject, as_check
+from placerec.recognizer import load
 
-AGAINS = 3
-THREADS = 4
-ROUNDS = 2
-PAUSES = 500
+_AGAINS = 3
+_THREADS = 4
+_ROUNDS = 2
+_PAUSES = 500
 """In each thread; the lines after that run on."""
-PAUSE_S = 1e-5
-MAX_KEPT_MB = 0.4
+_PAUSE_S = 1e-5
+_MAX_KEPT_MB = 0.4
 """Half an image: what the system counts wavers by less."""
 
-AGAIN = "the same image again"
-ALONE = "whatever came before"
-ANOTHER_THREAD = "in another thread"
-SECOND = "by a second instance"
-FRESH = "in a fresh process"
 
-
+@as_check(
+    "the same image again", "seed what is random; switch a network to eval()", one_shape, finite
+)
 def _again(subject: Subject) -> Outcome:
     first = places()[0]
     subject.embed(first)  # what came before is another check's
-    return _same([subject.embed(first)] * AGAINS, [subject.embed(first) for _ in range(AGAINS)])
+    return _same([subject.embed(first)] * _AGAINS, [subject.embed(first) for _ in range(_AGAINS)])
 
 
+@as_check("whatever came before", "keep nothing on self from one image to the next", _again)
 def _alone(subject: Subject) -> Outcome:
     images = places()
     backwards = [subject.embed(image) for image in reversed(images)]
     return _same([subject.embed(image) for image in images], backwards[::-1])
 
 
+@as_check(
+    "in another thread",
+    "SLAM embeds in a thread of its own: __init__ must make nothing that belongs to its thread",
+    _alone,
+)
 def _another_thread(subject: Subject) -> Outcome:
     with ThreadPoolExecutor(1) as thread:
         return _same(subject.embeddings, list(thread.map(subject.embed, places())))
 
 
+@as_check(
+    "in several threads at once",
+    "keep what is half done in local variables, not on self, or take a threading.Lock",
+    _another_thread,
+)
 def _threads_at_once(subject: Subject) -> Outcome:
-    images, start = places(), Barrier(THREADS)
-    orders = [np.roll(np.arange(len(images)), k).tolist() * ROUNDS for k in range(THREADS)]
+    images, start = places(), Barrier(_THREADS)
+    orders = [np.roll(np.arange(len(images)), k).tolist() * _ROUNDS for k in range(_THREADS)]
 
     def work(order: list[int]) -> list[NDArray[Any]]:
         start.wait()
         with _hesitating(subject):
             return [subject.embed(images[i]) for i in order]
 
-    with ThreadPoolExecutor(THREADS) as threads:
+    with ThreadPoolExecutor(_THREADS) as threads:
         found = [embedding for row in threads.map(work, orders) for embedding in row]
     expected = [subject.embeddings[i] for order in orders for i in order]
     return _same(expected, found)
@@ -72,12 +81,12 @@ def _hesitating(subject: Subject) -> Iterator[None]:
     Left to itself, a thread is interrupted so rarely that it would take luck to see what two of
     them have in common.
     """
-    pauses = iter(range(PAUSES))
+    pauses = iter(range(_PAUSES))
 
     def pause(frame: FrameType, event: str, argument: object) -> "Callable[..., Any] | None":
         if not subject.owns(frame) or next(pauses, None) is None:
             return None
-        sleep(PAUSE_S)
+        sleep(_PAUSE_S)
         return pause
 
     before = sys.gettrace()
@@ -88,12 +97,21 @@ def _hesitating(subject: Subject) -> Iterator[None]:
         sys.settrace(before)
 
 
+@as_check(
+    "by a second instance", "seed what __init__ draws at random, or read it from a file", _alone
+)
 def _second_instance(subject: Subject) -> Outcome:
-    other = subject.another()
+    other = Subject(load(subject.name), subject.name)
     return _same(subject.embeddings, [other.embed(image) for image in places()])
 
 
-def _fresh_process(subject: Subject) -> Outcome:
+@as_check(
+    "in a fresh process",
+    "depend on nothing else: hash() of a string, the order of a set, id(), the time",
+    _second_instance,
+)
+def fresh_process(subject: Subject) -> Outcome:
+    """Another Python makes the same embeddings."""
     return _same(subject.embeddings, list(subject.fresh_run.embeddings))
 
 
@@ -101,62 +119,23 @@ def _same(expected: Sequence[NDArray[Any]], found: Sequence[NDArray[Any]]) -> Ou
     pairs = list(zip(expected, found, strict=True))
     wrong = [(a, b) for a, b in pairs if a.shape != b.shape or a.tobytes() != b.tobytes()]
     if not wrong:
-        return judged(True, f"{len(pairs)} of {len(pairs)} to the last bit")
+        return True, f"{len(pairs)} of {len(pairs)} to the last bit"
     gaps = [float(np.abs(a - b).max()) for a, b in wrong if a.shape == b.shape]
     how = f"by up to {max(gaps):.3g}" if gaps else "in shape"
-    return judged(False, f"{len(wrong)} of {len(pairs)} differ {how}")
+    return False, f"{len(wrong)} of {len(pairs)} differ {how}"
 
 
+@as_check(
+    "keeps no images",
+    "let go of each image and what was made of it; run a network in torch.inference_mode()",
+    fresh_process,
+)
 def _keeps_no_images(subject: Subject) -> Outcome:
     kept_mb = subject.fresh_run.kept_mb
     if np.isnan(kept_mb):
-        return not_tried("only Linux tells how much memory is taken")
-    return judged(kept_mb <= MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image")
+        return None, "only Linux tells how much memory is taken"
+    return kept_mb <= _MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image"
 
 
-CHECKS = (
-    Check(
-        AGAIN,
-        _again,
-        "seed what is random; switch a network to eval()",
-        needs=(SHAPE, FINITE),
-    ),
-    Check(
-        ALONE,
-        _alone,
-        "keep nothing on self from one image to the next",
-        needs=(AGAIN,),
-    ),
-    Check(
-        ANOTHER_THREAD,
-        _another_thread,
-        "SLAM embeds in a thread of its own: __init__ must make nothing that belongs to its thread",
-        needs=(ALONE,),
-    ),
-    Check(
-        "in several threads at once",
-        _threads_at_once,
-        "keep what is half done in local variables, not on self, or take a threading.Lock",
-        needs=(ANOTHER_THREAD,),
-    ),
-    Check(
-        SECOND,
-        _second_instance,
-        "seed what __init__ draws at random, or read it from a file",
-        needs=(ALONE,),
-    ),
-    Check(
-        FRESH,
-        _fresh_process,
-        "depend on nothing else: hash() of a string, the order of a set, id(), the time",
-        needs=(SECOND,),
-    ),
-)
-COSTS = (
-    Check(
-        "keeps no images",
-        _keeps_no_images,
-        "let go of each image and what was made of it; run a network in torch.inference_mode()",
-        needs=(FRESH,),
-    ),
-)
+CHECKS = (_again, _alone, _another_thread, _threads_at_once, _second_instance, fresh_process)
+COSTS = (_keeps_no_images,)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recognizer that is looked at."""
+"""The recognizer that is checked, alone and in a fresh process, and what a check finds."""
 
 import os
 import subprocess
@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from placerec.checked_recognizer import COSINES, Comparer
 from placerec.conformance.made_images import Image, places
 from placerec.errors import RecognizerError
-from placerec.recognizer import PlaceRecognizer, load
+from placerec.recognizer import PlaceRecognizer, cause_of, load
 
-ROUNDS = 4
-STATUS = Path("/proc/self/status")
-CODE = "from placerec.conformance.subject import main; main()"
+_ROUNDS = 4
+_STATUS = Path("/proc/self/status")
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,10 @@ def run_in_fresh_process(name: str) -> FreshRun:
     """
     with TemporaryDirectory() as folder:
         out = Path(folder) / "run.npz"
+        code = "from placerec.conformance.subject import main; main()"
         paths = os.pathsep.join(path for path in sys.path if path)
         done = subprocess.run(
-            [sys.executable, "-c", CODE, name, str(out)],
+            [sys.executable, "-c", code, name, str(out)],
             env=os.environ | {"PYTHONPATH": paths, "PYTHONHASHSEED": "random"},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -65,8 +65,7 @@ def run_in_fresh_process(name: str) -> FreshRun:
             said = done.stderr.strip().splitlines()
             raise RecognizerError(said[-1] if said else f"it ended with code {done.returncode}")
         with np.load(out) as run:
-            own_mb, kept_mb = (float(value) for value in run["memory_mb"])
-            return FreshRun(run["embeddings"], own_mb, kept_mb)
+            return FreshRun(run["embeddings"], float(run["own_mb"]), float(run["kept_mb"]))
 
 
 def main() -> None:
@@ -80,18 +79,18 @@ def main() -> None:
         sys.exit(str(error))  # the last line of stderr is what the other process looks at
     embeddings = [np.asarray(recognizer.embed(image.copy())) for image in images]
     settled_mb = _status_mb("VmRSS")
-    for image in images * ROUNDS:
+    for image in images * _ROUNDS:
         recognizer.embed(image.copy())
-    kept_mb = (_status_mb("VmRSS") - settled_mb) / (len(images) * ROUNDS)
-    memory_mb = (_status_mb("VmHWM") - before_mb, kept_mb)
-    np.savez(out, embeddings=np.stack(embeddings), memory_mb=memory_mb)
+    kept_mb = (_status_mb("VmRSS") - settled_mb) / (len(images) * _ROUNDS)
+    own_mb = _status_mb("VmHWM") - before_mb
+    np.savez(out, embeddings=np.stack(embeddings), own_mb=own_mb, kept_mb=kept_mb)
 
 
 def _status_mb(key: str) -> float:
     """Return a figure of Linux about this process: memory now (VmRSS) or at most (VmHWM)."""
-    if not STATUS.exists():
+    if not _STATUS.exists():
         return float("nan")
-    rows = dict(line.split(":", 1) for line in STATUS.read_text().splitlines())
+    rows = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines())
     return int(rows[key].split()[0]) / 1024
 
 
@@ -100,23 +99,23 @@ class NamelessError(Exception):
 
 
 class Subject:
-    """A recognizer and, where it has one, the name that makes another of its kind.
+    """A recognizer that is checked.
 
     Attributes:
         recognizer: the recognizer.
-        name: what `load` makes one by, None where it was handed over as an object.
+        compares: whether it compares its embeddings itself; if not, their cosine does.
+        comparer: what compares its embeddings, unchecked.
     """
 
     def __init__(self, recognizer: PlaceRecognizer, name: str | None) -> None:
+        """Take a recognizer, and what `load` makes another by; None where nobody knows."""
         self.recognizer = recognizer
-        self.name = name
+        self._name = name
+        self.compares = callable(getattr(recognizer, "compare", None))
+        self.comparer = cast(Comparer, recognizer) if self.compares else COSINES
 
     def embed(self, image: Image) -> NDArray[Any]:
-        """Return what the recognizer makes of a copy of an image, as an array.
-
-        Raises:
-            Exception: whatever the recognizer raises.
-        """
+        """Return as an array what the recognizer makes of a copy of an image, or let it raise."""
         return np.asarray(self.recognizer.embed(image.copy()))
 
     @cached_property
@@ -124,50 +123,26 @@ class Subject:
         """What the recognizer makes of each of the places."""
         return [self.embed(image) for image in places()]
 
-    @property
-    def compares(self) -> bool:
-        """Whether it compares its embeddings itself; if not, their cosine does."""
-        return callable(getattr(self.recognizer, "compare", None))
-
-    @property
-    def comparer(self) -> Comparer:
-        """What compares its embeddings, unchecked."""
-        return cast(Comparer, self.recognizer) if self.compares else COSINES
-
-    def another(self) -> "Subject":
-        """Return a second one of its kind, made anew.
-
-        Raises:
-            NamelessError: it has no name.
-            RecognizerError: none can be made.
-        """
-        return Subject(load(self._known_name()), self.name)
-
     @cached_property
     def fresh_run(self) -> FreshRun:
-        """What one of its kind does in a Python of its own.
+        """What one of its kind does in a Python of its own; a RecognizerError if it fails there."""
+        return run_in_fresh_process(self.name)
 
-        Raises:
-            NamelessError: it has no name.
-            RecognizerError: it fails there.
-        """
-        return run_in_fresh_process(self._known_name())
-
-    def _known_name(self) -> str:
-        if self.name is None:
+    @property
+    def name(self) -> str:
+        """What `load` makes another one by; a NamelessError where nobody knows."""
+        if self._name is None:
             raise NamelessError("there is no name to make another one by")
-        return self.name
+        return self._name
 
     def explain(self, error: Exception) -> str:
         """Return an exception as one line that ends in where the recognizer raised it."""
-        text = " ".join(str(error).split())
-        kind = "" if isinstance(error, RecognizerError) else type(error).__name__
         lines = [
             f" ({Path(frame.f_code.co_filename).name}:{line})"
             for frame, line in traceback.walk_tb(error.__traceback__)
             if self.owns(frame)
         ]
-        return ": ".join(part for part in (kind, text) if part) + "".join(lines[-1:])
+        return cause_of(error) + "".join(lines[-1:])
 
     def owns(self, frame: FrameType) -> bool:
         """Return whether the package that the recognizer comes from is running there."""
@@ -183,12 +158,8 @@ class Verdict(StrEnum):
     NOT_TRIED = "--"
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """A verdict and, in one line, the value that led to it."""
-
-    verdict: Verdict
-    measured: str
+Outcome = tuple[bool | None, str]
+"""Whether a check passed, None where it was not tried, and in one line the value that says so."""
 
 
 @dataclass(frozen=True)
@@ -199,13 +170,20 @@ class Check:
         name: what it must do, in a few words.
         run: tries it out; where that raises, the check has failed.
         remedy: what the recognizer's author can do where it fails, in one line.
-        needs: the names of earlier checks without which this one would say nothing new.
+        needs: earlier checks without which this one would say nothing new.
     """
 
     name: str
     run: Callable[[Subject], Outcome]
     remedy: str
-    needs: tuple[str, ...] = ()
+    needs: tuple["Check", ...] = ()
+
+
+def as_check(
+    name: str, remedy: str, *needs: Check
+) -> Callable[[Callable[[Subject], Outcome]], Check]:
+    """Make a check of the function that follows."""
+    return lambda run: Check(name, run, remedy, needs)
 
 
 @dataclass(frozen=True)
@@ -220,13 +198,3 @@ class Finding:
     def failed(self) -> bool:
         """Whether the recognizer does not do what it must."""
         return self.verdict is Verdict.FAILED
-
-
-def judged(is_good: bool, measured: str) -> Outcome:
-    """Return the outcome of a check that was made."""
-    return Outcome(Verdict.PASSED if is_good else Verdict.FAILED, measured)
-
-
-def not_tried(why: str) -> Outcome:
-    """Return the outcome of a check that could not be made, or need not be."""
-    return Outcome(Verdict.NOT_TRIED, why)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from placerec.conformance import CHECKS, Check, Examination, Verdict
+from placerec.conformance.examination import CHECKS, Examination
+from placerec.conformance.subject import Check, Verdict
 from placerec.errors import RecognizerError
 from placerec.recognizer import load
 

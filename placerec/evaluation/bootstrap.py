@@ -9,13 +9,18 @@ from numpy.typing import NDArray
 
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.evaluation.precision_recall import BestMatches, Evaluation
+from placerec.evaluation.precision_recall import (
+    BestMatches,
+    Evaluation,
+    Indices,
+    ends_of_ties,
+    ranked_pairs,
+)
 
 RESAMPLES = 1000
 CONFIDENCE = 0.95
 
 Interval = tuple[float, float]
-Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -26,12 +31,10 @@ class Intervals:
         average_precision: over all pairs; both images of a pair are drawn. A place that is drawn
             twice counts as two places: none of its images is compared with its own double.
         recall_at_full_precision: of the best matches; queries are drawn, references stay.
-        resampled: what was drawn, with replacement: "places" where they are known, or "images".
     """
 
     average_precision: Interval
     recall_at_full_precision: Interval
-    resampled: str
 
 
 def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> Intervals:
@@ -44,13 +47,12 @@ def bootstrap(evaluation: Evaluation, dataset: PlaceDataset, seed: int = 0) -> I
         precisions.append(pairs.average_precision(drawn))
         recalls.append(_recall(evaluation.best_matches, revisits, drawn[dataset.queries]))
     return Intervals(
-        average_precision=_interval(precisions),
-        recall_at_full_precision=_interval(recalls),
-        resampled="images" if dataset.places is None else "places",
+        average_precision=interval(precisions),
+        recall_at_full_precision=interval(recalls),
     )
 
 
-def resampling_units(dataset: PlaceDataset) -> Counts:
+def resampling_units(dataset: PlaceDataset) -> Indices:
     """Return for each of the (N,) images what it is drawn together with, counted from 0.
 
     Whole places where they are known: images of one place are alike, and drawn one by one they
@@ -61,7 +63,7 @@ def resampling_units(dataset: PlaceDataset) -> Counts:
     return unit.astype(np.int64)
 
 
-def draws(unit: Counts, seed: int) -> Iterator[Counts]:
+def draws(unit: Indices, seed: int) -> Iterator[Indices]:
     """Yield how often each of the (N,) images is drawn in each resample."""
     rng = np.random.default_rng(seed)
     count = int(unit.max()) + 1
@@ -72,21 +74,17 @@ def draws(unit: Counts, seed: int) -> Iterator[Counts]:
 class _Pairs:
     """All pairs that count by falling similarity, sorted once for all resamples."""
 
-    def __init__(self, similarities: Similarities, dataset: PlaceDataset, unit: Counts) -> None:
-        rows, columns = np.nonzero(dataset.pairs)
-        values = similarities[rows, columns]
-        order = np.argsort(-values, kind="stable")
-        values, rows, columns = values[order], rows[order], columns[order]
+    def __init__(self, similarities: Similarities, dataset: PlaceDataset, unit: Indices) -> None:
+        rows, columns = ranked_pairs(similarities, dataset.pairs)
         self._queries, self._references = dataset.queries[rows], dataset.references[columns]
         self._within = np.flatnonzero(unit[self._queries] == unit[self._references])
         self._right = np.flatnonzero(dataset.same_place[rows, columns])
-        # Equal similarities pass a threshold together: each right pair counts with the last of
-        # those that are as similar.
-        last = np.flatnonzero(np.append(values[1:] != values[:-1], True))
+        # Each right pair counts with the last of those that are as similar.
+        last = ends_of_ties(similarities[rows, columns])
         ends = last[np.searchsorted(last, self._right)]
         self._ends, self._step = np.unique(ends, return_inverse=True)
 
-    def average_precision(self, drawn: Counts) -> float:
+    def average_precision(self, drawn: Indices) -> float:
         """Return it with each pair as often as its images are drawn; NaN if no right one is."""
         weights = drawn.take(self._queries) * drawn.take(self._references)
         weights[self._within] = drawn[self._queries[self._within]]
@@ -101,7 +99,7 @@ class _Pairs:
         return float(gains[drawn_steps] @ precision) / total
 
 
-def _recall(best: BestMatches, revisits: NDArray[np.bool_], drawn: Counts) -> float:
+def _recall(best: BestMatches, revisits: NDArray[np.bool_], drawn: Indices) -> float:
     """Return the recall without an error, each query as often as it is drawn; NaN without any."""
     total = int(drawn[revisits].sum())
     if total == 0:
@@ -112,7 +110,8 @@ def _recall(best: BestMatches, revisits: NDArray[np.bool_], drawn: Counts) -> fl
     return float(weights[clean].sum() / total)
 
 
-def _interval(values: list[float]) -> Interval:
+def interval(values: list[float]) -> Interval:
+    """Return within which bounds the middle 95 % of the resamples lie; NaN are left out."""
     tails = [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0]
     low, high = np.nanquantile(values, tails)
     return float(low), float(high)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From which similarity is a match worth verifying, and from which is it one place for sure?"""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,23 +8,23 @@ from placerec.certificate import TAIL, Certificate, fingerprint
 from placerec.checked_recognizer import CheckedRecognizer, Embeddings, Similarities
 from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
-from placerec.evaluation.bootstrap import CONFIDENCE, draws, resampling_units
-from placerec.evaluation.precision_recall import Curve, compare, pair_curve
+from placerec.evaluation.bootstrap import draws, interval, resampling_units
+from placerec.evaluation.precision_recall import Curve, Indices, compare, pair_curve, ranked_pairs
 from placerec.recognizer import PlaceRecognizer
 
-CURVE_POINTS = 200
-BLOCK = 4096
-
-Indices = NDArray[np.int64]
+_CURVE_POINTS = 200
+_BLOCK = 4096
 
 
-@dataclass(frozen=True)
 class _Pairs:
-    """M pairs of images by falling similarity: (M,) image indices of each side."""
+    """The chosen among a dataset's pairs, the most similar first."""
 
-    similarities: Similarities
-    query: Indices
-    reference: Indices
+    def __init__(
+        self, similarities: Similarities, dataset: PlaceDataset, chosen: NDArray[np.bool_]
+    ) -> None:
+        rows, columns = ranked_pairs(similarities, chosen)
+        self.similarities = similarities[rows, columns]
+        self.query, self.reference = dataset.queries[rows], dataset.references[columns]
 
     def weights(self, drawn: Indices, part: slice = slice(None)) -> Indices:
         """Return how often each pair of a part occurs when image i is drawn (N,) times."""
@@ -54,16 +52,19 @@ def calibrate(
     """
     similarities = compare(embeddings, dataset, CheckedRecognizer(recognizer, name))
     curve = pair_curve(similarities, dataset)
-    right = _pairs(similarities, dataset, dataset.pairs & dataset.same_place)
-    wrong = _pairs(similarities, dataset, dataset.pairs & ~dataset.same_place)
+    right = _Pairs(similarities, dataset, dataset.pairs & dataset.same_place)
+    wrong = _Pairs(similarities, dataset, dataset.pairs & ~dataset.same_place)
     clean = int((curve.precision == 1.0).sum())
     if clean == 0:
-        raise RecognizerError(_no_threshold(name, dataset, wrong))
+        first, second = (dataset.paths[side[0]] for side in (wrong.query, wrong.reference))
+        raise RecognizerError(
+            f"no threshold keeps {name} free of errors on {dataset.name}: its most similar pair, "
+            f"at {wrong.similarities[0]:.4f}, is of different places; if it is not, correct the "
+            f"ground truth: {first} and {second}"
+        )
     thresholds, recalls = _bootstrap(right, wrong, dataset, seed)
-    tails = [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0]
-    different, same = (
-        np.quantile(kind.similarities, [TAIL, 1.0 - TAIL]) for kind in (wrong, right)
-    )
+    different = np.quantile(wrong.similarities, [TAIL, 1.0 - TAIL])
+    same = np.quantile(right.similarities, [TAIL, 1.0 - TAIL])
     return Certificate(
         recognizer=name,
         fingerprint=fingerprint(recognizer),
@@ -75,8 +76,8 @@ def calibrate(
         threshold=curve.thresholds[clean - 1],
         highest_wrong=wrong.similarities[0],
         recall=curve.recall_at_full_precision,
-        threshold_interval=tuple(np.quantile(thresholds, tails)),
-        recall_interval=tuple(np.quantile(recalls, tails)),
+        threshold_interval=interval(thresholds),
+        recall_interval=interval(recalls),
         resampled="images" if dataset.places is None else "places",
         resamples=len(recalls),
         without_threshold=len(recalls) - len(thresholds),
@@ -85,22 +86,6 @@ def calibrate(
         same_place=tuple(same),
         recall_to_verify=float((right.similarities >= different[1]).mean()),
         curve=_thinned(curve, clean - 1),
-    )
-
-
-def _pairs(similarities: Similarities, dataset: PlaceDataset, chosen: NDArray[np.bool_]) -> _Pairs:
-    rows, columns = np.nonzero(chosen)
-    order = np.argsort(-similarities[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    return _Pairs(similarities[rows, columns], dataset.queries[rows], dataset.references[columns])
-
-
-def _no_threshold(name: str, dataset: PlaceDataset, wrong: _Pairs) -> str:
-    first, second = (dataset.paths[side[0]] for side in (wrong.query, wrong.reference))
-    return (
-        f"no threshold keeps {name} free of errors on {dataset.name}: its most similar pair, at "
-        f"{wrong.similarities[0]:.4f}, is of different places; if it is not, correct the ground "
-        f"truth: {first} and {second}"
     )
 
 
@@ -120,8 +105,8 @@ def _bootstrap(
 
 
 def _highest_drawn(pairs: _Pairs, drawn: Indices) -> float:
-    for start in range(0, len(pairs.similarities), BLOCK):
-        present = np.flatnonzero(pairs.weights(drawn, slice(start, start + BLOCK)))
+    for start in range(0, len(pairs.similarities), _BLOCK):
+        present = np.flatnonzero(pairs.weights(drawn, slice(start, start + _BLOCK)))
         if present.size:
             return float(pairs.similarities[start + present[0]])
     return -np.inf
@@ -130,7 +115,7 @@ def _highest_drawn(pairs: _Pairs, drawn: Indices) -> float:
 def _thinned(curve: Curve, keep: int) -> tuple[tuple[float, float, float], ...]:
     """Return points at even steps among those where the recall rises, and the one to keep."""
     rises = np.flatnonzero(np.diff(curve.recall, prepend=0.0))
-    few = np.linspace(0, len(rises) - 1, min(CURVE_POINTS, len(rises))).astype(int)
+    few = np.linspace(0, len(rises) - 1, min(_CURVE_POINTS, len(rises))).astype(int)
     return tuple(
         (float(curve.thresholds[i]), float(curve.precision[i]), float(curve.recall[i]))
         for i in np.union1d(rises[few], [keep])

@@ -15,16 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.certificate import own_fingerprint
 from placerec.checked_recognizer import CheckedRecognizer
 from placerec.datasets import PlaceDataset
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress, cache_folder, write_atomically
 from placerec.recognizer import PlaceRecognizer
 
-LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
+_LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
 """With another version of these, the last digits of an embedding may be others."""
 _STARTED_S = time.time()
-FORMAT = "seconds, time, npy"
+_FORMAT = "seconds, time, npy"
 _FACTS = struct.Struct("<dd")
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -53,11 +54,13 @@ class EmbeddingCache:
         Raises:
             RecognizerError: the recognizer has no fingerprint.
         """
-        fingerprint = fingerprint_of(recognizer)
+        fingerprint, kind = own_fingerprint(recognizer), type(recognizer)
         if fingerprint is None:
-            raise RecognizerError(f"{type(recognizer).__name__!r} has no fingerprint: str")
-        root = cache_folder() if folder is None else folder
-        self._folder = root / "embeddings" / _recognizer_key(recognizer, fingerprint)
+            raise RecognizerError(f"{kind.__name__!r} has no fingerprint: str")
+        made_by = [f"{name} {installed_version(name) or 'unknown'}" for name in _LIBRARIES]
+        facts = [_FORMAT, fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by]
+        key = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:32]
+        self._folder = (folder or cache_folder()) / "embeddings" / key
         self._is_writable = True
 
     def find(self, image: Path) -> KeptEmbedding | None:
@@ -84,31 +87,19 @@ class EmbeddingCache:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             write_atomically(self._file(image), hashlib.sha256(facts).digest() + facts)
-        except (OSError, RecognizerError):
+        except (OSError, LoopcloseError):
             self._is_writable = False  # a full disk is not asked again for every image
 
     def _file(self, image: Path) -> Path:
         return self._folder / hashlib.sha256(image.read_bytes()).hexdigest()
 
 
-def fingerprint_of(recognizer: PlaceRecognizer) -> str | None:
-    """Return what a recognizer says that its embeddings depend on, None where it says nothing."""
-    own = getattr(recognizer, "fingerprint", None)
-    return own if isinstance(own, str) else None
-
-
-def _recognizer_key(recognizer: PlaceRecognizer, fingerprint: str) -> str:
-    kind = type(recognizer)
-    made_by = [f"{library} {_version(library)}" for library in LIBRARIES]
-    facts = "\n".join([FORMAT, fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by])
-    return hashlib.sha256(facts.encode()).hexdigest()[:32]
-
-
-def _version(library: str) -> str:
+def installed_version(package: str) -> str | None:
+    """Return the version of a package, None for a checkout or another build of it (OpenCV)."""
     try:
-        return version(library)
-    except PackageNotFoundError:  # a checkout that was not installed, or another build of OpenCV
-        return "unknown"
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -142,12 +133,14 @@ def embed_dataset(
     for i, path in enumerate(dataset.paths):
         kept = cache.find(path) if cache else None
         if kept is None:
-            vector, took_s = _embed(checked, dataset[i])
+            image, start = dataset[i], perf_counter()
+            vector = checked.embed(image)
+            took_s = perf_counter() - start
             if cache:
                 cache.keep(path, vector, took_s)
         else:
-            vector, took_s = kept.vector, kept.seconds
-            days += [kept.made_on] if kept.made_on else []
+            vector, took_s, made_on = kept
+            days += [made_on] if made_on else []
         vectors.append(vector)
         seconds.append(took_s)
         if progress:
@@ -158,11 +151,3 @@ def embed_dataset(
             "whenever its embeddings change"
         )
     return EmbeddedImages(np.stack(vectors), np.array(seconds), min(days, default=None))
-
-
-def _embed(
-    checked: CheckedRecognizer, image: NDArray[np.uint8]
-) -> tuple[NDArray[np.float32], float]:
-    start = perf_counter()
-    vector = checked.embed(image)
-    return vector, perf_counter() - start

@@ -8,20 +8,20 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.certificate import own_fingerprint
 from placerec.checked_recognizer import COSINES, CheckedRecognizer, Comparer, Embeddings
 from placerec.datasets import PlaceDataset
-from placerec.errors import RecognizerError
 from placerec.evaluation.bootstrap import Intervals, bootstrap
-from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset, fingerprint_of
+from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset
 from placerec.evaluation.precision_recall import Evaluation, evaluate
 from placerec.files import Progress
-from placerec.recognizer import PlaceRecognizer
+from placerec.recognizer import PlaceRecognizer, cause_of
 
-BATCH = 10_000
-MAX_BATCH_BYTES = 256 * 2**20
+_BATCH = 10_000
+_MAX_BATCH_BYTES = 256 * 2**20
 """Fewer are compared at a time where they would take up more than this."""
-REPEATS = 30
-ENOUGH_S = 1.0
+_REPEATS = 30
+_ENOUGH_S = 1.0
 """No more tries after so long."""
 
 
@@ -52,24 +52,20 @@ def measure_cost(
     Raises:
         RecognizerError: the embeddings cannot be compared.
     """
-    return Cost(
-        embed_ms=1e3 * float(np.median(embed_s)),
-        compare_ms=_compare_ms(embeddings[0], comparer),
-        dimension=embeddings[0].size,
-        embedding_bytes=embeddings[0].nbytes,
-    )
-
-
-def _compare_ms(embedding: Embeddings, comparer: Comparer) -> float:
-    count = max(1, min(BATCH, MAX_BATCH_BYTES // embedding.nbytes))
-    batch = np.repeat(embedding[None], count, axis=0)
-    queries = np.repeat(embedding[None], 1 + comparer.looks_back, axis=0)
-    seconds: list[float] = []
-    while len(seconds) < REPEATS and sum(seconds) < ENOUGH_S:
+    one = embeddings[:1]
+    count = max(1, min(_BATCH, _MAX_BATCH_BYTES // one.nbytes))
+    batch, queries = one.repeat(count, axis=0), one.repeat(1 + comparer.looks_back, axis=0)
+    compare_s: list[float] = []
+    while len(compare_s) < _REPEATS and sum(compare_s) < _ENOUGH_S:
         start = perf_counter()
         comparer.compare(queries, batch)
-        seconds.append(perf_counter() - start)
-    return 1e3 * min(seconds) / count
+        compare_s.append(perf_counter() - start)
+    return Cost(
+        embed_ms=1e3 * float(np.median(embed_s)),
+        compare_ms=1e3 * min(compare_s) / count,
+        dimension=one.size,
+        embedding_bytes=one.nbytes,
+    )
 
 
 @dataclass(frozen=True)
@@ -129,32 +125,22 @@ def measure(
         progress: told of every image that is done.
     """
     try:
-        has_cache = use_cache and fingerprint_of(recognizer) is not None
+        has_cache = use_cache and own_fingerprint(recognizer) is not None
         cache = EmbeddingCache(recognizer) if has_cache else None
         embedded = embed_dataset(recognizer, dataset, cache, progress)
         comparer = CheckedRecognizer(recognizer, name)
+        weights: object = getattr(recognizer, "weights", "")
+        trained_on = set(getattr(recognizer, "trained_on", ()))
         found = evaluate(dataset, embedded.embeddings, comparer)
         return Measured(
             dataset=dataset,
             recognizer=name,
-            weights=_weights(recognizer),
-            trained_on=_trained_on(recognizer, dataset),
+            weights=weights if isinstance(weights, str) else "",
+            trained_on=tuple(part for part in dataset.name.split("+") if part in trained_on),
             evaluation=found,
             intervals=bootstrap(found, dataset),
             cost=measure_cost(embedded.embeddings, embedded.seconds, comparer),
             timed_on=embedded.oldest,
         )
-    except RecognizerError as error:
-        return Failed(dataset, name, str(error))
     except Exception as error:  # hours of work on others are not to be lost to one
-        return Failed(dataset, name, " ".join(f"{type(error).__name__}: {error}".split()))
-
-
-def _weights(recognizer: PlaceRecognizer) -> str:
-    weights = getattr(recognizer, "weights", "")
-    return weights if isinstance(weights, str) else ""
-
-
-def _trained_on(recognizer: PlaceRecognizer, dataset: PlaceDataset) -> tuple[str, ...]:
-    trained_on = set(getattr(recognizer, "trained_on", ()))
-    return tuple(part for part in dataset.name.split("+") if part in trained_on)
+        return Failed(dataset, name, cause_of(error))

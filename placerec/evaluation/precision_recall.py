@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well similarities tell same places from different ones.
 
-Wherever similarities are equal, no order is assumed in the recognizer's favour.
+Wherever similarities are equal, no order is assumed in the recognizer's favour. What a dataset
+cannot show is refused with a RecognizerError: curves and recalls need two images of it that are of
+one place, and two that are of different ones.
 """
 
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
 
 FloatArray = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -59,15 +62,10 @@ class BestMatches:
             a right one, the wrong one is the match.
     """
 
-    queries: NDArray[np.int64]
-    references: NDArray[np.int64]
+    queries: Indices
+    references: Indices
     similarities: Similarities
     are_right: NDArray[np.bool_]
-
-    def first(self, *, right: bool) -> int | None:
-        """Return the index of the most similar right (or wrong) match, None where there is none."""
-        chosen = np.flatnonzero(self.are_right == right)
-        return int(chosen[np.argmax(self.similarities[chosen])]) if chosen.size else None
 
 
 @dataclass(frozen=True)
@@ -140,11 +138,7 @@ def compare(
 
 
 def pair_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve:
-    """Return precision and recall over all pairs that count, each once.
-
-    Raises:
-        RecognizerError: no two images of the dataset are of one place, or of different ones.
-    """
+    """Return precision and recall over all pairs that count, each once."""
     refuse_without_truth(dataset)
     counted = dataset.pairs
     right = dataset.same_place[counted]
@@ -156,9 +150,6 @@ def best_match_curve(similarities: Similarities, dataset: PlaceDataset) -> Curve
 
     A query without any reference of its place takes part: its best match is an error. The recall
     is of the queries that have one.
-
-    Raises:
-        RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
     refuse_without_truth(dataset)
     best = best_matches(similarities, dataset)
@@ -180,9 +171,6 @@ def recall_at(k: int, similarities: Similarities, dataset: PlaceDataset) -> floa
     """Return the share of queries that have a right one among their k most similar references.
 
     Of all queries that have a right reference at all.
-
-    Raises:
-        RecognizerError: no two images of the dataset are of one place, or of different ones.
     """
     refuse_without_truth(dataset)
     right, wrong = _split(similarities, dataset)
@@ -198,11 +186,22 @@ def _split(similarities: Similarities, dataset: PlaceDataset) -> tuple[Similarit
     return np.where(right, similarities, -np.inf), np.where(wrong, similarities, -np.inf)
 
 
+def ranked_pairs(similarities: Similarities, chosen: NDArray[np.bool_]) -> tuple[Indices, Indices]:
+    """Return rows and columns of the chosen among (Q, R) pairs, the most similar first."""
+    rows, columns = np.nonzero(chosen)
+    order = np.argsort(-similarities[rows, columns], kind="stable")
+    return rows[order], columns[order]
+
+
+def ends_of_ties(falling: NDArray[np.floating]) -> Indices:
+    """Return where each run of equal values ends: these pass a threshold together."""
+    return np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
+
+
 def _curve(similarities: Similarities, right: NDArray[np.bool_], total: int) -> Curve:
     """Return the curve of (M,) matches; total is how many right ones there could be."""
     order = np.argsort(-similarities, kind="stable")
     falling = similarities[order].astype(np.float64)
-    # Equal similarities pass a threshold together: the curve has one point for all of them.
-    last = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
+    last = ends_of_ties(falling)
     recognised_right = np.cumsum(right[order])[last]
     return Curve(falling[last], recognised_right / (last + 1), recognised_right / total)

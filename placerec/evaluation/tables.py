@@ -3,94 +3,10 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from placerec.evaluation.measurement import Failed, Measured, Measurement
 
-CSV_COLUMNS = (
-    "data",
-    "recognizer",
-    "weights",
-    "trained_on",
-    "images",
-    "pairs",
-    "average_precision",
-    "average_precision_low",
-    "average_precision_high",
-    "recall_at_1",
-    "recall_at_5",
-    "recall_at_10",
-    "recall_at_full_precision",
-    "recall_at_full_precision_low",
-    "recall_at_full_precision_high",
-    "best_match_area",
-    "dimension",
-    "bytes_per_place",
-    "embed_ms",
-    "embed_timed_on",
-    "compare_ms",
-    "failure",
-)
-
-
-def evaluation_csv(rows: Sequence[Measurement]) -> str:
-    """Return the figures in full, a line per evaluation; unknown ones are empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, CSV_COLUMNS, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(_figures(row) for row in rows)
-    return text.getvalue()
-
-
-def _figures(row: Measurement) -> dict[str, object]:
-    names: dict[str, object] = {
-        "data": row.dataset.name,
-        "recognizer": row.recognizer,
-        "images": len(row.dataset),
-        "pairs": int(row.dataset.pairs.sum()),
-    }
-    if isinstance(row, Failed):
-        return {**names, "failure": row.why}
-    found, cost = row.evaluation, row.cost
-    precision, recall = row.intervals.average_precision, row.intervals.recall_at_full_precision
-    return {
-        **names,
-        "weights": row.weights,
-        "trained_on": " ".join(row.trained_on),
-        "average_precision": found.pair_curve.area,
-        "average_precision_low": precision[0],
-        "average_precision_high": precision[1],
-        "recall_at_1": found.recall_at_1,
-        "recall_at_5": found.recall_at_5,
-        "recall_at_10": found.recall_at_10,
-        "recall_at_full_precision": found.best_match_curve.recall_at_full_precision,
-        "recall_at_full_precision_low": recall[0],
-        "recall_at_full_precision_high": recall[1],
-        "best_match_area": found.best_match_curve.area,
-        "dimension": cost.dimension,
-        "bytes_per_place": cost.embedding_bytes,
-        "embed_ms": cost.embed_ms,
-        "embed_timed_on": row.timed_on or "",
-        "compare_ms": cost.compare_ms,
-    }
-
-
-HEADER = (
-    "data",
-    "recognizer",
-    "pair AP",
-    "recall@1",
-    "recall@5",
-    "recall@10",
-    "recall at 100 % P",
-    "best-match area",
-    "values",
-    "KiB",
-    "embed ms",
-    "compare µs",
-)
-NAMES = 2
-"""So many columns are names, written from the left; the others are numbers."""
 EARLIER = "*"
 """Marks a time that was measured in an earlier run."""
 
@@ -101,15 +17,78 @@ LEGEND = (
     "10,000."
 )
 
+_CSV: dict[str, Callable[[Measured], object]] = {
+    "data": lambda row: row.dataset.name,
+    "recognizer": lambda row: row.recognizer,
+    "weights": lambda row: row.weights,
+    "trained_on": lambda row: " ".join(row.trained_on),
+    "images": lambda row: len(row.dataset),
+    "pairs": lambda row: int(row.dataset.pairs.sum()),
+    "average_precision": lambda row: row.evaluation.pair_curve.area,
+    "average_precision_low": lambda row: row.intervals.average_precision[0],
+    "average_precision_high": lambda row: row.intervals.average_precision[1],
+    "recall_at_1": lambda row: row.evaluation.recall_at_1,
+    "recall_at_5": lambda row: row.evaluation.recall_at_5,
+    "recall_at_10": lambda row: row.evaluation.recall_at_10,
+    "recall_at_full_precision": lambda row: (
+        row.evaluation.best_match_curve.recall_at_full_precision
+    ),
+    "recall_at_full_precision_low": lambda row: row.intervals.recall_at_full_precision[0],
+    "recall_at_full_precision_high": lambda row: row.intervals.recall_at_full_precision[1],
+    "best_match_area": lambda row: row.evaluation.best_match_curve.area,
+    "dimension": lambda row: row.cost.dimension,
+    "bytes_per_place": lambda row: row.cost.embedding_bytes,
+    "embed_ms": lambda row: row.cost.embed_ms,
+    "embed_timed_on": lambda row: row.timed_on or "",
+    "compare_ms": lambda row: row.cost.compare_ms,
+    "failure": lambda row: "",
+}
+
+_TABLE: dict[str, Callable[[Measured], str]] = {
+    "data": lambda row: row.dataset.name,
+    "recognizer": lambda row: row.recognizer,
+    "pair AP": lambda row: f"{row.evaluation.pair_curve.area:.3f}",
+    "recall@1": lambda row: f"{row.evaluation.recall_at_1:.3f}",
+    "recall@5": lambda row: f"{row.evaluation.recall_at_5:.3f}",
+    "recall@10": lambda row: f"{row.evaluation.recall_at_10:.3f}",
+    "recall at 100 % P": lambda row: (
+        f"{row.evaluation.best_match_curve.recall_at_full_precision:.3f}"
+    ),
+    "best-match area": lambda row: f"{row.evaluation.best_match_curve.area:.3f}",
+    "values": lambda row: f"{row.cost.dimension}",
+    "KiB": lambda row: f"{row.cost.embedding_bytes / 1024:.1f}",
+    "embed ms": lambda row: f"{row.cost.embed_ms:.1f}{EARLIER if row.timed_on else ''}",
+    "compare µs": lambda row: f"{1e3 * row.cost.compare_ms:.3f}",
+}
+_NAMES = 2
+"""So many columns are names, written from the left; the others are numbers."""
+
+
+def evaluation_csv(rows: Sequence[Measurement]) -> str:
+    """Return the figures in full, a line per evaluation; unknown ones are empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(_CSV), restval="", lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        if isinstance(row, Measured):
+            writer.writerow({name: figure(row) for name, figure in _CSV.items()})
+            continue
+        names: dict[str, object] = {"data": row.dataset.name, "recognizer": row.recognizer}
+        names |= {"images": len(row.dataset), "pairs": int(row.dataset.pairs.sum())}
+        writer.writerow(names | {"failure": row.why})
+    return text.getvalue()
+
 
 def evaluation_table(rows: Sequence[Measurement]) -> str:
     """Return one line per evaluation; the two recalls and the area are of best matches."""
-    cells = [HEADER, *(_cells(row) for row in rows)]
+    header = tuple(_TABLE)
+    cells = [header, *(_cells(row) for row in rows)]
     # Why something failed may run on beyond its column.
-    whole = [row if len(row) == len(HEADER) else (*row[:NAMES], *HEADER[NAMES:]) for row in cells]
+    whole = [row if len(row) == len(header) else (*row[:_NAMES], *header[_NAMES:]) for row in cells]
     widths = [max(map(len, column)) for column in zip(*whole, strict=True)]
-    rule = ["-" * width if i < NAMES else "-" * (width - 1) + ":" for i, width in enumerate(widths)]
-    return "\n".join(_line(row, widths) for row in (cells[0], rule, *cells[1:]))
+    rule = ["-" * width for width in widths[:_NAMES]]
+    rule += ["-" * (width - 1) + ":" for width in widths[_NAMES:]]
+    return "\n".join(_line(row, widths) for row in (header, rule, *cells[1:]))
 
 
 def notes(rows: Sequence[Measurement]) -> list[str]:
@@ -131,26 +110,12 @@ def notes(rows: Sequence[Measurement]) -> list[str]:
 def _cells(row: Measurement) -> tuple[str, ...]:
     if isinstance(row, Failed):
         return row.dataset.name, row.recognizer, f"failed: {row.why}".replace("|", r"\|")
-    found, cost = row.evaluation, row.cost
-    return (
-        row.dataset.name,
-        row.recognizer,
-        f"{found.pair_curve.area:.3f}",
-        f"{found.recall_at_1:.3f}",
-        f"{found.recall_at_5:.3f}",
-        f"{found.recall_at_10:.3f}",
-        f"{found.best_match_curve.recall_at_full_precision:.3f}",
-        f"{found.best_match_curve.area:.3f}",
-        f"{cost.dimension}",
-        f"{cost.embedding_bytes / 1024:.1f}",
-        f"{cost.embed_ms:.1f}{EARLIER if row.timed_on else ''}",
-        f"{1e3 * cost.compare_ms:.3f}",
-    )
+    return tuple(figure(row) for figure in _TABLE.values())
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     padded = [
-        cell.ljust(width) if i < NAMES else cell.rjust(width)
+        cell.ljust(width) if i < _NAMES else cell.rjust(width)
         for i, (cell, width) in enumerate(zip(cells, widths, strict=False))
     ]
     return f"| {' | '.join(padded)} |"

@@ -5,35 +5,33 @@ from collections import OrderedDict
 
 from torch import nn
 
-from placerec.networks.preprocessing import (
-    CAFFE_INPUT,
-    IMAGENET_MEAN,
-    IMAGENET_SCALE,
-    Preprocessing,
-)
+from placerec.networks.preprocessing import CAFFE_INPUT, TORCHVISION_INPUT
 from placerec.networks.trunk import Trunk, with_random_weights
 
 
-def _pool() -> nn.Module:
-    return nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
-
-
-def _norm() -> nn.Module:
-    return nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75)
-
-
 def _caffenet() -> nn.Sequential:
-    layers: OrderedDict[str, nn.Module] = OrderedDict()
-    layers["conv1"] = nn.Conv2d(3, 96, kernel_size=11, stride=4)
-    layers.update(relu1=nn.ReLU(), pool1=_pool(), norm1=_norm())
-    layers["conv2"] = nn.Conv2d(96, 256, kernel_size=5, padding=2, groups=2)
-    layers.update(relu2=nn.ReLU(), pool2=_pool(), norm2=_norm())
-    layers["conv3"] = nn.Conv2d(256, 384, kernel_size=3, padding=1)
-    layers["relu3"] = nn.ReLU()
-    layers["conv4"] = nn.Conv2d(384, 384, kernel_size=3, padding=1, groups=2)
-    layers["relu4"] = nn.ReLU()
-    layers["conv5"] = nn.Conv2d(384, 256, kernel_size=3, padding=1, groups=2)
-    layers["relu5"] = nn.ReLU()
+    def pool() -> nn.Module:
+        return nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
+
+    def norm() -> nn.Module:
+        return nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75)
+
+    layers: OrderedDict[str, nn.Module] = OrderedDict(
+        conv1=nn.Conv2d(3, 96, kernel_size=11, stride=4),
+        relu1=nn.ReLU(),
+        pool1=pool(),
+        norm1=norm(),
+        conv2=nn.Conv2d(96, 256, kernel_size=5, padding=2, groups=2),
+        relu2=nn.ReLU(),
+        pool2=pool(),
+        norm2=norm(),
+        conv3=nn.Conv2d(256, 384, kernel_size=3, padding=1),
+        relu3=nn.ReLU(),
+        conv4=nn.Conv2d(384, 384, kernel_size=3, padding=1, groups=2),
+        relu4=nn.ReLU(),
+        conv5=nn.Conv2d(384, 256, kernel_size=3, padding=1, groups=2),
+        relu5=nn.ReLU(),
+    )
     return with_random_weights(nn.Sequential(layers))
 
 
@@ -67,12 +65,7 @@ def _alexnet() -> nn.Sequential:
 ALEXNET = Trunk(
     name="alexnet",
     build=_alexnet,
-    preprocessing=Preprocessing(
-        width_px=224,
-        height_px=224,
-        mean=IMAGENET_MEAN,
-        scale=IMAGENET_SCALE,
-    ),
+    preprocessing=TORCHVISION_INPUT,
     blocks={"conv1": 2, "conv2": 5, "conv3": 8, "conv4": 10, "conv5": 12, "pool5": 13},
     name_in_file="features.{}".format,
     url="https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",

@@ -5,6 +5,7 @@ The file is one protocol buffer, of which little is needed: NetParameter holds l
 name and blobs, a blob a shape and its numbers (caffe.proto). All other fields are skipped.
 """
 
+from collections import defaultdict
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,14 +13,12 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 
-LAYERS = {100: (1, 7), 2: (4, 6)}
+_LAYERS = {100: (1, 7), 2: (4, 6)}
 """Field of the layers in NetParameter, and of a layer's name and blobs; now, and before 2015."""
-DATA, SHAPE, DIM = 5, 7, 1
-OLD_SHAPE = (1, 2, 3, 4)
+_DATA, _SHAPE, _DIM = 5, 7, 1
+_OLD_SHAPE = (1, 2, 3, 4)
 """Of a blob before 2015: num, channels, height, width."""
-KINDS = ("weight", "bias")
-
-VARINT, EIGHT_BYTES, CHUNK, FOUR_BYTES = 0, 1, 2, 5
+_VARINT, _EIGHT_BYTES, _CHUNK, _FOUR_BYTES = 0, 1, 2, 5
 
 
 def read_caffemodel(content: bytes) -> dict[str, FloatArray]:
@@ -29,65 +28,56 @@ def read_caffemodel(content: bytes) -> dict[str, FloatArray]:
         ValueError: this is no such file, or not all of it.
     """
     arrays: dict[str, FloatArray] = {}
-    for field, layer in _fields(memoryview(content)):
-        if field not in LAYERS or isinstance(layer, int):
-            continue
-        name_field, blob_field = LAYERS[field]
-        parts = list(_fields(layer))
-        names = [bytes(part).decode() for number, part in _chunks(parts) if number == name_field]
-        blobs = [_blob(part) for number, part in _chunks(parts) if number == blob_field]
-        if blobs and not names:
-            raise ValueError("a layer with weights has no name")
-        for kind, blob in zip(KINDS, blobs, strict=False):
-            arrays[f"{names[0]}.{kind}"] = blob.reshape(-1) if kind == "bias" else blob
+    net = _Message(memoryview(content))
+    for field, (name_field, blob_field) in _LAYERS.items():
+        for layer in map(_Message, net.chunks[field]):
+            names = [bytes(name).decode() for name in layer.chunks[name_field]]
+            blobs = [_blob(_Message(blob)) for blob in layer.chunks[blob_field]]
+            if blobs and not names:
+                raise ValueError("a layer with weights has no name")
+            for kind, blob in zip(("weight", "bias"), blobs, strict=False):
+                arrays[f"{names[0]}.{kind}"] = blob.reshape(-1) if kind == "bias" else blob
     if not arrays:
         raise ValueError("there is no layer with weights")
     return arrays
 
 
-def _blob(message: memoryview) -> FloatArray:
-    fields = list(_fields(message))
-    numbers = b"".join(bytes(part) for number, part in _chunks(fields) if number == DATA)
-    shapes = [_dims(part) for number, part in _chunks(fields) if number == SHAPE]
-    plain = {number: value for number, value in fields if isinstance(value, int)}
-    shape = shapes[0] if shapes else [plain.get(number, 1) for number in OLD_SHAPE]
-    return np.frombuffer(numbers, "<f4").astype(np.float32).reshape(shape)
+class _Message:
+    """A protocol buffer's integers, and its chunks of bytes that depend on the field, by field."""
+
+    def __init__(self, content: memoryview) -> None:
+        self.numbers: defaultdict[int, list[int]] = defaultdict(list)
+        self.chunks: defaultdict[int, list[memoryview]] = defaultdict(list)
+        position = 0
+        while position < len(content):
+            key, position = _varint(content, position)
+            number, kind = key >> 3, key & 7
+            if kind == _VARINT:
+                value, position = _varint(content, position)
+                self.numbers[number].append(value)
+                continue
+            size = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4}.get(kind)
+            if kind == _CHUNK:
+                size, position = _varint(content, position)
+            if size is None or position + size > len(content):
+                raise ValueError(f"field {number} is of kind {kind}, or cut off")
+            self.chunks[number].append(content[position : position + size])
+            position += size
 
 
-def _dims(message: memoryview) -> list[int]:
-    dims: list[int] = []
-    for number, value in _fields(message):
-        if number == DIM and isinstance(value, int):
-            dims.append(value)
-        elif number == DIM and isinstance(value, memoryview):
-            position = 0
-            while position < len(value):
-                dim, position = _varint(value, position)
-                dims.append(dim)
-    return dims
+def _blob(blob: _Message) -> FloatArray:
+    shape = [(blob.numbers[field] or [1])[-1] for field in _OLD_SHAPE]
+    for dims in map(_Message, blob.chunks[_SHAPE][:1]):
+        shape = dims.numbers[_DIM] + [dim for part in dims.chunks[_DIM] for dim in _varints(part)]
+    numbers = np.frombuffer(b"".join(blob.chunks[_DATA]), "<f4")
+    return numbers.astype(np.float32).reshape(shape)
 
 
-def _chunks(fields: list[tuple[int, int | memoryview]]) -> Iterator[tuple[int, memoryview]]:
-    return ((number, value) for number, value in fields if isinstance(value, memoryview))
-
-
-def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """Yield each field's number and its value: an integer, or bytes that depend on the field."""
+def _varints(message: memoryview) -> Iterator[int]:
     position = 0
     while position < len(message):
-        key, position = _varint(message, position)
-        number, kind = key >> 3, key & 7
-        if kind == VARINT:
-            value, position = _varint(message, position)
-            yield number, value
-            continue
-        size = {EIGHT_BYTES: 8, FOUR_BYTES: 4}.get(kind)
-        if kind == CHUNK:
-            size, position = _varint(message, position)
-        if size is None or position + size > len(message):
-            raise ValueError(f"field {number} is of kind {kind}, or cut off")
-        yield number, message[position : position + size]
-        position += size
+        number, position = _varint(message, position)
+        yield number
 
 
 def _varint(message: memoryview, position: int) -> tuple[int, int]:

@@ -11,23 +11,17 @@ from torch.nn import functional
 from placerec.networks.preprocessing import Preprocessing
 from placerec.networks.trunk import Trunk, with_random_weights
 
-STAGES = (
-    (1, 16, 1, 1),
-    (6, 24, 2, 2),
-    (6, 32, 3, 2),
-    (6, 64, 4, 2),
-    (6, 96, 3, 1),
-    (6, 160, 3, 2),
-    (6, 320, 1, 1),
+_STAGES = (
+    *((1, 16, 1, 1), (6, 24, 2, 2), (6, 32, 3, 2), (6, 64, 4, 2)),
+    *((6, 96, 3, 1), (6, 160, 3, 2), (6, 320, 1, 1)),
 )
 """Per stage: expansion, channels, blocks, stride of its first block."""
 
 
-class SameConv(nn.Conv2d):
+class _SameConv(nn.Conv2d):
     """A 3x3 convolution with stride 2 whose surplus padding goes to the right and the bottom."""
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Return maps of half the size, rounded up."""
         height, width = maps.shape[-2:]
         padding = (width % 2, 1, height % 2, 1)  # left, right, top, bottom
         return super().forward(functional.pad(maps, padding))
@@ -36,10 +30,10 @@ class SameConv(nn.Conv2d):
 def _conv3x3(channels_in: int, channels: int, stride: int, groups: int = 1) -> nn.Conv2d:
     if stride == 1:
         return nn.Conv2d(channels_in, channels, kernel_size=3, padding=1, groups=groups)
-    return SameConv(channels_in, channels, kernel_size=3, stride=stride, groups=groups)
+    return _SameConv(channels_in, channels, kernel_size=3, stride=stride, groups=groups)
 
 
-class InvertedResidual(nn.Module):
+class _InvertedResidual(nn.Module):
     """Expand, filter each channel on its own, project; added to the input where shapes allow."""
 
     def __init__(self, channels_in: int, channels: int, expansion: int, stride: int) -> None:
@@ -51,7 +45,6 @@ class InvertedResidual(nn.Module):
         self.project = nn.Conv2d(hidden, channels, kernel_size=1)
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Return (N, channels, h, w) maps of (N, C, H, W) maps."""
         hidden = maps if self.expand is None else functional.relu6(self.expand(maps))
         projected: Tensor = self.project(functional.relu6(self.depthwise(hidden)))
         return maps + projected if self.has_shortcut else projected
@@ -61,9 +54,9 @@ def _layers() -> nn.Sequential:
     stem = nn.Sequential(_conv3x3(3, 32, stride=2), nn.ReLU6())
     layers: OrderedDict[str, nn.Module] = OrderedDict(stem=stem)
     channels_in = 32
-    for expansion, channels, blocks, first_stride in STAGES:
+    for expansion, channels, blocks, first_stride in _STAGES:
         for stride in (first_stride, *(1,) * (blocks - 1)):
-            block = InvertedResidual(channels_in, channels, expansion, stride)
+            block = _InvertedResidual(channels_in, channels, expansion, stride)
             layers[f"block{len(layers) - 1}"] = block
             channels_in = channels
     return with_random_weights(nn.Sequential(layers))

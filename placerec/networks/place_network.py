@@ -19,13 +19,11 @@ class PlaceNetwork(nn.Module):
     """What the paper makes of a classification network (section 2.1).
 
     Attributes:
-        trunk, block: where the layers before the fully connected one come from.
-        features: these layers; a known trunk's parameters are called as its publishers call them.
-        grid: (rows, columns) of cells that the maps are averaged in, or None to keep them whole.
-        covariance: whether the maps' second-order statistics are taken instead of their values.
-        words: how many words the maps are described by instead (NetVLAD), or None.
+        trunk, block, grid, covariance, words: what it was made with.
         preprocessing: how an image becomes its input.
-        fully_connected: from the flattened maps to the embedding.
+        features: the trunk's layers up to the block, called as the trunk calls them.
+        pool: from their maps to the values that the fully connected layer takes.
+        fully_connected: from these to the embedding.
     """
 
     def __init__(
@@ -60,15 +58,16 @@ class PlaceNetwork(nn.Module):
         super().__init__()
         if dimension < 1:
             raise RecognizerError(f"dimension = {dimension}: an embedding needs at least 1 value")
-        width_px, height_px = size_px or (
-            trunk.preprocessing.width_px,
-            trunk.preprocessing.height_px,
-        )
         if words is not None and (covariance or words < 2):
             raise RecognizerError(f"words = {words}: 2 or more, and not together with covariance")
-        self.trunk, self.block, self.grid, self.covariance = trunk, block, grid, covariance
-        self.words = words
-        self.preprocessing = replace(trunk.preprocessing, width_px=width_px, height_px=height_px)
+        self.trunk, self.block, self.grid = trunk, block, grid
+        self.covariance, self.words = covariance, words
+        self.preprocessing = trunk.preprocessing
+        if size_px:
+            width_px, height_px = size_px
+            self.preprocessing = replace(
+                trunk.preprocessing, width_px=width_px, height_px=height_px
+            )
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.features = trunk.layers(block)

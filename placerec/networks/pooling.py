@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NetVLAD: how local features differ from the words that they are most like (Arandjelovic 2016)."""
+"""Layers behind a trunk: its maps told by covariance or by words, and a whitened last layer."""
 
 import numpy as np
 import torch
@@ -77,22 +77,18 @@ class Covariance(nn.Module):
 
 
 def _with_position(maps: Tensor) -> Tensor:
-    height, width = maps.shape[2:]
-    rows, columns = (
-        POSITION_WEIGHT * torch.linspace(-1.0, 1.0, size, device=maps.device)
-        for size in (height, width)
-    )
-    position = torch.stack(torch.meshgrid(rows, columns, indexing="ij"))
+    along = [torch.linspace(-1.0, 1.0, size, device=maps.device) for size in maps.shape[2:]]
+    position = POSITION_WEIGHT * torch.stack(torch.meshgrid(*along, indexing="ij"))
     return torch.cat([maps, position.expand(len(maps), -1, -1, -1)], dim=1)
 
 
 RUNNER_UP = 0.01
 """Share of a feature that its second word is given, at the start and for the median feature."""
-ROUNDS = 20
+_ROUNDS = 20
 
 
 class Vlad(nn.Module):
-    """A layer from maps to the sums of residuals to K words, by soft assignment.
+    """NetVLAD: from maps to the sums of residuals to K words, softly assigned (Arandjelovic 2016).
 
     Attributes:
         conv: from (N, C, h, w) to how well each local feature fits each word, before softmax.
@@ -147,7 +143,7 @@ def find_words(features: NDArray[np.float32], count: int, seed: int) -> NDArray[
             f"{count} words cannot be found in {len(features)} local features; give more images"
         )
     words = _scattered(features, count, np.random.default_rng(seed))
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         # By |x - w|^2, of which |x|^2 is the same for all words.
         nearest = (features @ words.T - 0.5 * np.square(words).sum(axis=1)).argmax(axis=1)
         ones, rows = np.ones(len(nearest), np.float32), np.arange(len(nearest))

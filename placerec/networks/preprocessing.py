@@ -29,11 +29,6 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-IMAGENET_MEAN = (123.675, 116.28, 103.53)
-IMAGENET_SCALE = (58.395, 57.12, 57.375)
-"""Of ImageNet's pixels, R G B from 0 to 255: what torchvision's networks were trained with."""
-
-
 @dataclass(frozen=True)
 class Preprocessing:
     """Resize, then subtract a mean and divide by a scale.
@@ -72,10 +67,13 @@ class Preprocessing:
         return torch.from_numpy(values).permute(2, 0, 1)
 
 
+TORCHVISION_INPUT = Preprocessing(
+    width_px=224, height_px=224, mean=(123.675, 116.28, 103.53), scale=(58.395, 57.12, 57.375)
+)
 CAFFE_INPUT = Preprocessing(
     width_px=227, height_px=227, mean=(104.0, 117.0, 123.0), scale=(1.0, 1.0, 1.0), is_bgr=True
 )
-"""What networks trained with Caffe on ImageNet take."""
+"""What networks trained with these on ImageNet take."""
 
 
 def _as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -22,16 +22,15 @@ from placerec.files import cache_folder, write_atomically
 from placerec.networks.caffemodel import read_caffemodel
 from placerec.networks.place_network import PlaceNetwork
 from placerec.networks.trunk import Trunk
+from placerec.recognizer import WEIGHTS_SUFFIX
 
-TIMEOUT_S = 30.0
-OURS = ".safetensors"
 FOLDER_VARIABLE = "LOOPCLOSE_WEIGHTS"
 SUFFIXES = frozenset({".pth", ".tar", ".npz", ".caffemodel"})
-NESTED = "state_dict"
-NETVLAD = "netvlad"
+_TIMEOUT_S = 30.0
+_NETVLAD = "netvlad"
 """Its checkpoints are often named after the network that they begin with."""
 _SCALAR = cast(Callable[..., object], np.float64(0.0).__reduce__()[0])
-NUMBERS: list[Callable[..., object] | tuple[Callable[..., object], str]] = [
+_NUMBERS: list[Callable[..., object] | tuple[Callable[..., object], str]] = [
     (_SCALAR, "numpy.core.multiarray.scalar"),
     (_SCALAR, "numpy._core.multiarray.scalar"),
     np.dtype,
@@ -50,12 +49,12 @@ def load_pretrained(network: PlaceNetwork, path: Path) -> None:
     Raises:
         RecognizerError: the file cannot be read, would run code, or is another network's.
     """
-    weights = read_weights(path)
-    name = network.trunk.name
+    weights, name = read_weights(path), network.trunk.name
+    is_ours = path.suffix == WEIGHTS_SUFFIX
+    name_in_file = "features.{}".format if is_ours else network.trunk.name_in_file
     state = network.features.state_dict()
     for parameter, value in state.items():
-        is_ours = path.suffix == OURS
-        in_file = f"features.{parameter}" if is_ours else network.trunk.name_in_file(parameter)
+        in_file = name_in_file(parameter)
         found = weights.get(in_file)
         if found is None:
             raise RecognizerError(f"not weights of {name}: there is no {in_file}: {path}")
@@ -75,18 +74,18 @@ def find_pretrained(name: str) -> Path | None:
     It is looked for in the folder that $LOOPCLOSE_WEIGHTS names, if it does, then in that of
     `download_pretrained`, and in the folders in these.
     """
+
+    def is_of_it(file: str) -> bool:
+        return name.lower() == _NETVLAD if _NETVLAD in file else file.startswith(name.lower())
+
     found = [
         path
         for folder in weights_folders()
         for path in sorted((*folder.glob("*"), *folder.glob("*/*")))
-        if _is_of(name.lower(), path.name.lower()) and path.suffix in SUFFIXES and path.is_file()
+        if is_of_it(path.name.lower()) and path.suffix in SUFFIXES and path.is_file()
     ]
     # Of SqueezeNet and MobileNetV2 torchvision's files are of no use here, and archives are.
     return min(found, key=lambda path: path.suffix != ".npz", default=None)
-
-
-def _is_of(name: str, file: str) -> bool:
-    return name == NETVLAD if NETVLAD in file else file.startswith(name)
 
 
 def weights_folders() -> tuple[Path, ...]:
@@ -116,14 +115,19 @@ def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | Non
     path = (folder or cache_folder() / "weights") / url.rsplit("/", 1)[1]
     if path.is_file():
         return path
-    content = _fetch(url)
+    request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
+    try:
+        with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as response:
+            content: bytes = response.read()
+    except (OSError, http.client.HTTPException) as error:
+        raise RecognizerError(f"the weights cannot be downloaded: {error}: {url}") from error
     digest = hashlib.sha256(content).hexdigest()
     if not digest.startswith(digits[1]):
         raise RecognizerError(
             f"the download is damaged: its SHA-256 begins {digest[: len(digits[1])]}, "
             f"not {digits[1]}; try again: {url}"
         )
-    _make_folder(path.parent)
+    make_folder(path.parent)
     write_atomically(path, content)
     return path
 
@@ -145,33 +149,28 @@ def read_weights(path: Path) -> Mapping[str, Tensor]:
         if path.suffix == ".caffemodel":
             arrays = read_caffemodel(content.getvalue())
             return {name: torch.from_numpy(array) for name, array in arrays.items()}
-        if path.suffix == OURS:
+        if path.suffix == WEIGHTS_SUFFIX:
             return safetensors.torch.load(content.getvalue())
         # What torch has to say about the pickle of a file that it refuses, we say below.
-        with torch.serialization.safe_globals(NUMBERS), warnings.catch_warnings(action="ignore"):
+        with torch.serialization.safe_globals(_NUMBERS), warnings.catch_warnings(action="ignore"):
             loaded = torch.load(content, map_location="cpu", weights_only=True)
     except Exception as error:  # torch and numpy raise many kinds for a damaged file
         raise RecognizerError(
             f"the weights file is damaged, or a pickle that would run code: {path}"
         ) from error
-    if isinstance(loaded, Mapping) and isinstance(loaded.get(NESTED), Mapping):
-        loaded = {name.replace("module.", ""): value for name, value in loaded[NESTED].items()}
+    if isinstance(loaded, Mapping) and isinstance(nested := loaded.get("state_dict"), Mapping):
+        loaded = {name.replace("module.", ""): value for name, value in nested.items()}
     if not isinstance(loaded, Mapping) or not all(isinstance(v, Tensor) for v in loaded.values()):
         raise RecognizerError(f"the weights file does not hold named tensors: {path}")
     return loaded
 
 
-def _fetch(url: str) -> bytes:
-    request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
-    try:
-        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
-            content: bytes = response.read()
-    except (OSError, http.client.HTTPException) as error:
-        raise RecognizerError(f"the weights cannot be downloaded: {error}: {url}") from error
-    return content
+def make_folder(folder: Path) -> None:
+    """Make a folder and those it lies in.
 
-
-def _make_folder(folder: Path) -> None:
+    Raises:
+        RecognizerError: it cannot be made.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -9,24 +9,24 @@ from torch import Tensor, nn
 from placerec.networks.preprocessing import CAFFE_INPUT
 from placerec.networks.trunk import Trunk, with_random_weights
 
-SQUEEZED = {2: 16, 3: 16, 4: 32, 5: 32, 6: 48, 7: 48, 8: 64, 9: 64}
+_SQUEEZED = {2: 16, 3: 16, 4: 32, 5: 32, 6: 48, 7: 48, 8: 64, 9: 64}
 """Channels after squeezing, per fire module; each of its two expansions has four times as many."""
-EXPANSION = 4
-POOLED = (4, 8)
+_EXPANSION = 4
+_BLOCKS = ["relu1", "pool1", "fire2", "fire3", "fire4", "pool4"]
+_BLOCKS += ["fire5", "fire6", "fire7", "fire8", "pool8", "fire9"]
 
 
-class Fire(nn.Module):
+class _Fire(nn.Module):
     """Squeeze to few channels, then expand by two kinds of convolution side by side."""
 
     def __init__(self, channels_in: int, squeezed: int) -> None:
         super().__init__()
-        expanded = EXPANSION * squeezed
+        expanded = _EXPANSION * squeezed
         self.conv1x1_1 = nn.Conv2d(channels_in, squeezed, kernel_size=1)
         self.conv1x1_2 = nn.Conv2d(squeezed, expanded, kernel_size=1)
         self.conv3x3_2 = nn.Conv2d(squeezed, expanded, kernel_size=3, padding=1)
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Return (N, 8 * squeezed, h, w) maps of (N, C, h, w) maps."""
         squeezed = torch.relu(self.conv1x1_1(maps))
         expanded = torch.cat([self.conv1x1_2(squeezed), self.conv3x3_2(squeezed)], dim=1)
         return torch.relu(expanded)
@@ -37,26 +37,16 @@ def _pool() -> nn.Module:
 
 
 def _layers() -> nn.Sequential:
-    layers: OrderedDict[str, nn.Module] = OrderedDict()
-    layers["conv1"] = nn.Conv2d(3, 96, kernel_size=7, stride=2)
-    layers["relu1"] = nn.ReLU()
-    layers["pool1"] = _pool()
+    layers: OrderedDict[str, nn.Module] = OrderedDict(
+        conv1=nn.Conv2d(3, 96, kernel_size=7, stride=2), relu1=nn.ReLU(), pool1=_pool()
+    )
     channels = 96
-    for number, squeezed in SQUEEZED.items():
-        layers[f"fire{number}"] = Fire(channels, squeezed)
-        channels = 2 * EXPANSION * squeezed
-        if number in POOLED:
+    for number, squeezed in _SQUEEZED.items():
+        layers[f"fire{number}"] = _Fire(channels, squeezed)
+        channels = 2 * _EXPANSION * squeezed
+        if number in (4, 8):
             layers[f"pool{number}"] = _pool()
     return with_random_weights(nn.Sequential(layers))
-
-
-def _blocks() -> dict[str, int]:
-    blocks = {"relu1": 2, "pool1": 3}
-    for number in SQUEEZED:
-        blocks[f"fire{number}"] = max(blocks.values()) + 1
-        if number in POOLED:
-            blocks[f"pool{number}"] = max(blocks.values()) + 1
-    return blocks
 
 
 def _name_in_file(parameter: str) -> str:
@@ -69,6 +59,6 @@ SQUEEZENET = Trunk(
     name="squeezenet",
     build=_layers,
     preprocessing=CAFFE_INPUT,
-    blocks=_blocks(),
+    blocks={name: count for count, name in enumerate(_BLOCKS, 2)},
     name_in_file=_name_in_file,
 )

@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """VGG16's convolutions (Simonyan 2015), laid out as torchvision's so that its weights fit."""
 
+from itertools import accumulate
+
 from torch import nn
 
-from placerec.networks.preprocessing import IMAGENET_MEAN, IMAGENET_SCALE, Preprocessing
+from placerec.networks.preprocessing import TORCHVISION_INPUT
 from placerec.networks.trunk import Trunk, with_random_weights
 
-STAGES = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
+_STAGES = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
 """Channels and convolutions between two poolings."""
+_BLOCKS = [
+    name
+    for stage, (_, count) in enumerate(_STAGES, 1)
+    for name in (*(f"conv{stage}_{i}" for i in range(1, count + 1)), f"pool{stage}")
+]
+_LENGTHS = {"conv": 2, "pool": 1}
 
 
 def _layers() -> nn.Sequential:
     layers: list[nn.Module] = []
     channels_in = 3
-    for channels, convolutions in STAGES:
+    for channels, convolutions in _STAGES:
         for _ in range(convolutions):
             layers += [nn.Conv2d(channels_in, channels, kernel_size=3, padding=1), nn.ReLU()]
             channels_in = channels
@@ -21,28 +29,11 @@ def _layers() -> nn.Sequential:
     return with_random_weights(nn.Sequential(*layers))
 
 
-def _blocks() -> dict[str, int]:
-    blocks: dict[str, int] = {}
-    count = 0
-    for stage, (_, convolutions) in enumerate(STAGES, 1):
-        for convolution in range(1, convolutions + 1):
-            count += 2
-            blocks[f"conv{stage}_{convolution}"] = count
-        count += 1
-        blocks[f"pool{stage}"] = count
-    return blocks
-
-
 VGG16 = Trunk(
     name="vgg16",
     build=_layers,
-    preprocessing=Preprocessing(
-        width_px=224,
-        height_px=224,
-        mean=IMAGENET_MEAN,
-        scale=IMAGENET_SCALE,
-    ),
-    blocks=_blocks(),
+    preprocessing=TORCHVISION_INPUT,
+    blocks=dict(zip(_BLOCKS, accumulate(_LENGTHS[name[:4]] for name in _BLOCKS), strict=True)),
     name_in_file="features.{}".format,
     url="https://download.pytorch.org/models/vgg16-397923af.pth",
 )

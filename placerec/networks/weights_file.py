@@ -8,7 +8,7 @@ from pathlib import Path
 
 import safetensors.torch
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
@@ -16,8 +16,8 @@ from placerec.errors import RecognizerError
 from placerec.files import write_atomically
 from placerec.networks import TRUNKS, PlaceNetwork, Trunk
 
-METADATA_KEY = "placerec"
-LAST_LAYER = "fully_connected.weight"
+_METADATA_KEY = "placerec"
+_LAST_LAYER = "fully_connected.weight"
 
 
 class _Description(BaseModel):
@@ -43,19 +43,16 @@ def save_weights(network: PlaceNetwork, path: Path, min_similarity: float) -> No
     Raises:
         RecognizerError: a weight is not finite in half precision, or the file cannot be written.
     """
-    size_px = (network.preprocessing.width_px, network.preprocessing.height_px)
     description = _Description(
         trunk=network.trunk.name,
         block=network.block,
         grid=network.grid,
         covariance=network.covariance,
         words=network.words,
-        size_px=size_px,
+        size_px=(network.preprocessing.width_px, network.preprocessing.height_px),
         min_similarity=min_similarity,
     )
-    tensors = {name: _half(name, value) for name, value in network.state_dict().items()}
-    metadata = {METADATA_KEY: description.model_dump_json()}
-    write_atomically(path, safetensors.torch.save(tensors, metadata))
+    _write(path, description, {n: _half(n, value) for n, value in network.state_dict().items()})
 
 
 def load_weights(
@@ -81,12 +78,8 @@ def load_weights(
     try:
         network = PlaceNetwork(
             known[description.trunk],
-            tensors[LAST_LAYER].shape[0],
-            block=description.block,
-            grid=description.grid,
-            covariance=description.covariance,
-            words=description.words,
-            size_px=description.size_px,
+            tensors[_LAST_LAYER].shape[0],
+            **description.model_dump(exclude={"trunk", "min_similarity"}),
         )
         network.load_state_dict(tensors)
     except (RuntimeError, RecognizerError) as error:
@@ -98,29 +91,17 @@ def load_weights(
 def set_min_similarity(path: Path, min_similarity: float) -> None:
     """Write another threshold into a file of weights, which is replaced as a whole.
 
-    Args:
-        path: a file written by `save_weights`.
-        min_similarity: cosine from which a match is worth verifying.
-
     Raises:
         RecognizerError: the file cannot be read, is damaged, is a pickle, or cannot be written.
     """
     description, tensors = _read(path)
-    changed = description.model_copy(update={"min_similarity": min_similarity})
-    metadata = {METADATA_KEY: changed.model_dump_json()}
-    write_atomically(path, safetensors.torch.save(tensors, metadata))
+    _write(path, description.model_copy(update={"min_similarity": min_similarity}), tensors)
 
 
 def hash_network(network: PlaceNetwork) -> str:
     """Return "sha256:..." of all that embeddings depend on: the tensors and the input's making."""
-    made_with = (
-        network.trunk.name,
-        network.block,
-        network.grid,
-        network.covariance,
-        network.preprocessing,
-    )
-    digest = hashlib.sha256(repr(made_with).encode())
+    cut = network.trunk.name, network.block, network.grid, network.covariance
+    digest = hashlib.sha256(repr((*cut, network.preprocessing)).encode())
     for name, value in sorted(network.state_dict().items()):
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
         digest.update(value.cpu().contiguous().numpy().tobytes())
@@ -131,8 +112,7 @@ def _read(path: Path) -> tuple[_Description, dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            names = file.keys()
-            tensors = {name: file.get_tensor(name) for name in names}
+            tensors = {name: file.get_tensor(name) for name in list(file.keys())}
     except OSError as error:
         why = error.strerror or str(error)
         raise RecognizerError(f"cannot read the weights: {why}: {path}") from error
@@ -142,13 +122,18 @@ def _read(path: Path) -> tuple[_Description, dict[str, Tensor]]:
             f"{path}"
         ) from error
     try:
-        description = _Description.model_validate(json.loads(metadata[METADATA_KEY]))
-        last_layer = tensors[LAST_LAYER]
-    except (KeyError, ValueError, ValidationError) as error:
+        description = _Description.model_validate(json.loads(metadata[_METADATA_KEY]))
+        last_layer = tensors[_LAST_LAYER]
+    except (KeyError, ValueError) as error:  # of pydantic, too
         raise RecognizerError(f"the weights are not of a place network: {path}") from error
     if last_layer.ndim != 2 or not all(bool(value.isfinite().all()) for value in tensors.values()):
         raise RecognizerError(f"the weights are damaged: some are NaN or infinite: {path}")
     return description, tensors
+
+
+def _write(path: Path, description: _Description, tensors: dict[str, Tensor]) -> None:
+    metadata = {_METADATA_KEY: description.model_dump_json()}
+    write_atomically(path, safetensors.torch.save(tensors, metadata))
 
 
 def _half(name: str, value: Tensor) -> Tensor:

@@ -8,9 +8,9 @@ from torch.nn import functional
 from placerec.networks.place_network import PlaceNetwork
 from placerec.networks.pooling import WhitenedLinear
 
-EVENNESS = 0.01
+_EVENNESS = 0.01
 """Share of the mean variance that is added to each: directions that hardly vary stay weak."""
-COMPONENTS = 768
+_COMPONENTS = 768
 """Directions kept at most, or as many as an embedding has values."""
 
 
@@ -26,19 +26,15 @@ def whiten(network: PlaceNetwork, values: Tensor, seed: int = 0) -> None:
         values: (n, F) float32, flattened maps of n training images (`PlaceNetwork.flatten`).
         seed: what the mixtures come from.
     """
-    mean = values.double().mean(dim=0)
-    directions, variances = principal_components(
-        values.double() - mean, max(COMPONENTS, network.dimension)
-    )
-    strength = (variances + EVENNESS * variances.mean().clamp(min=torch.finfo().tiny)).rsqrt()
-    layer = WhitenedLinear(values.shape[1], len(directions), network.dimension)
+    mean, whitening = whitened_components(values, max(_COMPONENTS, network.dimension))
+    layer = WhitenedLinear(values.shape[1], len(whitening), network.dimension)
     with torch.no_grad():
-        layer.whitening.copy_(strength[:, None] * directions)
+        layer.whitening.copy_(whitening)
         layer.mean.copy_(mean)
         layer.weight.copy_(torch.eye(*layer.weight.shape))
-        surplus = layer.weight[len(directions) :]
+        surplus = layer.weight[len(whitening) :]
         random = torch.Generator().manual_seed(seed)
-        surplus.copy_(torch.randn(surplus.shape, generator=random) / len(directions) ** 0.5)
+        surplus.copy_(torch.randn(surplus.shape, generator=random) / len(whitening) ** 0.5)
     network.fully_connected = layer.to(values.device)
 
 
@@ -49,13 +45,23 @@ def merge(network: PlaceNetwork) -> None:
         network.fully_connected = network.fully_connected.merged().to(device)
 
 
+def whitened_components(values: Tensor, at_most: int) -> tuple[Tensor, Tensor]:
+    """Return the (F,) float64 mean of (n, F) values, and the (r, F) whitening of what is left.
+
+    Along its rows, the principal components of most variance first, all values vary alike.
+    """
+    mean = values.double().mean(dim=0)
+    directions, variances = principal_components(values.double() - mean, at_most)
+    strength = (variances + _EVENNESS * variances.mean().clamp(min=torch.finfo().tiny)).rsqrt()
+    return mean, strength[:, None] * directions
+
+
 def principal_components(centred: Tensor, at_most: int) -> tuple[Tensor, Tensor]:
     """Return (r, F) orthonormal directions of (n, F) centred values, and their (r,) variances.
 
     The strongest come first.
     """
-    # By the smaller of the two products.
-    is_wide = centred.shape[1] > len(centred)
+    is_wide = centred.shape[1] > len(centred)  # By the smaller of the two products.
     product = centred @ centred.T if is_wide else centred.T @ centred
     squares, vectors = torch.linalg.eigh(product)
     kept = slice(-min(at_most, len(squares)), None)

@@ -11,20 +11,17 @@ from numpy.typing import NDArray
 from placerec.checked_recognizer import Embeddings, Similarities
 from placerec.networks import TRUNKS
 from placerec.networks.alexnet import CAFFENET
-from placerec.recognizers.feature_maps import Layer, find_maps
+from placerec.recognizers.feature_maps import TINY, FloatArray, Layer, find_maps
 
-LEVELS = (4, 3, 2, 1)
+_LEVELS = (4, 3, 2, 1)
 """Cells along each side of the image, from fine to coarse."""
-STAND_INS = (
+_STAND_INS = (
     Layer(TRUNKS["alexnet"], "conv5", (227, 227)),
     Layer(TRUNKS["squeezenet"], "fire9", (227, 227)),
 )
 """Trained on ImageNet, with maps of 13 x 13 as well."""
-BLOCK = 16
+_BLOCK = 16
 """References at a time: what is subtracted stays in the processor's cache."""
-TINY = 1e-12
-
-FloatArray = NDArray[np.float32]
 
 
 class AmosNet:
@@ -49,7 +46,7 @@ class AmosNet:
             RecognizerError: there are none, or they cannot be used.
         """
         own = Layer(CAFFENET, "conv5", (227, 227), self.FILE)
-        self._maps = find_maps([own, *STAND_INS])
+        self._maps = find_maps([own, *_STAND_INS])
         is_own = self._maps.title == own.title
         self.weights = self._maps.weights + ("" if is_own else f" in place of {self.FILE}'s")
         self.fingerprint = self._maps.fingerprint
@@ -57,16 +54,15 @@ class AmosNet:
     def embed(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (D,) float32 pyramid of an image, none negative and 1 in all."""
         values = spatial_pyramid(np.maximum(self._maps(image), 0.0)) + TINY
-        embedding: FloatArray = values / values.sum(dtype=np.float64)
-        return embedding.astype(np.float32)
+        return np.asarray(values / values.sum(dtype=np.float64), np.float32)
 
     def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
         """Return (Q, R) float32: 1 less half of the sum of absolute differences, 0 to 1."""
         similarities = np.empty((len(queries), len(references)), np.float32)
-        for start in range(0, len(references), BLOCK):
-            block = references[start : start + BLOCK]
+        for start in range(0, len(references), _BLOCK):
+            block = references[start : start + _BLOCK]
             for row, query in zip(similarities, queries, strict=True):
-                row[start : start + BLOCK] = 1.0 - np.abs(block - query).sum(axis=1) / 2.0
+                row[start : start + _BLOCK] = 1.0 - np.abs(block - query).sum(axis=1) / 2.0
         return similarities
 
 
@@ -84,7 +80,7 @@ def spatial_pyramid(maps: FloatArray) -> FloatArray:
     height, width = maps.shape[1:]
     pooled = [
         maps[:, top:bottom, left:right].max(axis=(1, 2))
-        for count in LEVELS
+        for count in _LEVELS
         for top, bottom in _cells(height, count)
         for left, right in _cells(width, count)
     ]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of visual words: ORB, a vocabulary tree and tf-idf, which is what ORB-SLAM uses."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,14 +9,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import Certificate, certificate_beside
 from placerec.errors import RecognizerError
-from placerec.recognizers.fitted_file import Fitted, read_fitted, shipped
+from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
 
 Descriptors = NDArray[np.uint8]
 
-ROUNDS = 8
+CHILDREN, DEPTH = 16, 3
+"""Of the tree: 4096 words."""
 CHUNK = 65536
+_ROUNDS = 8
+_LONGER_SIDE_PX = 640
+_FEATURES = 1000
+_FAST_THRESHOLD = 7
+_BORDER_PX = 19
+_ORB_BYTES = 32
+_FEATURES_FOUND = f"{_FEATURES} ORB at {_LONGER_SIDE_PX} px, FAST from {_FAST_THRESHOLD}"
+_LEAST_SIDE_PX = 2 * _BORDER_PX + 1
+"""ORB sees nothing in less, and OpenCV fails where a level of its pyramid has no pixel."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def _k_majority(
     middles = _scattered(descriptors, count, rng)
     nearest = _nearest(descriptors, middles)
     bits = np.unpackbits(descriptors, axis=1)
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         for k in np.unique(nearest):
             middles[k] = np.packbits(2 * bits[nearest == k].mean(axis=0) > 1.0)
         before, nearest = nearest, _nearest(descriptors, middles)
@@ -100,11 +109,8 @@ def _scattered(descriptors: Descriptors, count: int, rng: np.random.Generator) -
 
 
 def _nearest(descriptors: Descriptors, middles: Descriptors) -> NDArray[np.int64]:
-    parts: Sequence[NDArray[np.int64]] = [
-        _hamming(descriptors[start : start + CHUNK, None], middles).argmin(axis=1)
-        for start in range(0, len(descriptors), CHUNK)
-    ]
-    return np.concatenate(parts)
+    chunks = (descriptors[i : i + CHUNK, None] for i in range(0, len(descriptors), CHUNK))
+    return np.concatenate([_hamming(chunk, middles).argmin(axis=1) for chunk in chunks])
 
 
 def _hamming(a: Descriptors, b: Descriptors) -> NDArray[np.int64]:
@@ -114,55 +120,23 @@ def _hamming(a: Descriptors, b: Descriptors) -> NDArray[np.int64]:
     return distances
 
 
-NAME = "bag-of-words"
-SHIPPED = shipped(NAME)
-CHILDREN, DEPTH = 16, 3
-"""Of the tree: 4096 words."""
-LONGER_SIDE_PX = 640
-FEATURES = 1000
-FAST_THRESHOLD = 7
-BORDER_PX = 19
-ORB_BYTES = 32
-FEATURES_FOUND = f"{FEATURES} ORB at {LONGER_SIDE_PX} px, FAST from {FAST_THRESHOLD}"
-LEAST_SIDE_PX = 2 * BORDER_PX + 1
-"""ORB sees nothing in less, and OpenCV fails where a level of its pyramid has no pixel."""
-
-
-class BagOfWords:
+class BagOfWords(FittedRecognizer):
     """How often which word is seen, weighed by how rare it is (tf-idf); the cosine compares.
 
     Attributes:
         min_similarity: kept with the vocabulary; the shipped one's is what `placerec calibrate`
             finds on the validation floors of ie_tower.
-        weights, trained_on, fingerprint: of the vocabulary.
     """
 
-    min_similarity: float = 0.2
+    name = "bag-of-words"
+    min_similarity = 0.2
 
-    def __init__(self, path: Path = SHIPPED) -> None:
-        """Read a vocabulary, by default the shipped one.
-
-        Raises:
-            RecognizerError: it cannot be read, or is none.
-        """
-        fitted = read_fitted(path, NAME)
-        levels = [fitted.arrays[name] for name in sorted(fitted.arrays) if name != "rarity"]
-        self._tree, self._rarity = VocabularyTree(tuple(levels)), fitted.arrays["rarity"]
-        self._path = path
-        self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
-        self.fingerprint, self.weights = (
-            fitted.fingerprint,
-            f"{self._tree.words} words of {fitted.source}",
-        )
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """What min_similarity was calibrated on, where a certificate lies beside the vocabulary.
-
-        Raises:
-            RecognizerError: it cannot be read.
-        """
-        return certificate_beside(self._path)
+    def __init__(self, path: Path | None = None) -> None:
+        super().__init__(path)
+        arrays = self._fitted.arrays
+        levels = [arrays[name] for name in sorted(arrays) if name != "rarity"]
+        self._tree, self._rarity = VocabularyTree(tuple(levels)), arrays["rarity"]
+        self.weights = f"{self._tree.words} words of {self._fitted.source}"
 
     @classmethod
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
@@ -172,13 +146,13 @@ class BagOfWords:
             RecognizerError: nothing was seen in them.
         """
         documents = [_descriptors(image) for image in images]
-        descriptors = np.concatenate([np.empty((0, ORB_BYTES), np.uint8), *documents])
+        descriptors = np.concatenate([np.empty((0, _ORB_BYTES), np.uint8), *documents])
         if not len(descriptors):
             raise RecognizerError(f"no corner was found in {len(documents)} images; give others")
         tree = grow(descriptors, CHILDREN, DEPTH, np.random.default_rng(seed))
         levels = {f"level{i}": level for i, level in enumerate(tree.levels)}
         rarity = _rarity([tree(document) for document in documents], tree.words)
-        return Fitted({**levels, "rarity": rarity}, {"features": FEATURES_FOUND})
+        return Fitted({**levels, "rarity": rarity}, {"features": _FEATURES_FOUND})
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (W + 1,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image.
@@ -188,19 +162,18 @@ class BagOfWords:
         words = self._tree(_descriptors(image))
         counts = np.bincount(words, minlength=self._tree.words) * self._rarity
         vector = np.append(counts, 0.0 if counts.any() else 1.0)
-        embedding: NDArray[np.float32] = (vector / np.linalg.norm(vector)).astype(np.float32)
-        return embedding
+        return np.asarray(vector / np.linalg.norm(vector), np.float32)
 
 
 def _descriptors(image: NDArray[np.uint8]) -> Descriptors:
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    scale = LONGER_SIDE_PX / max(grey.shape)
+    scale = _LONGER_SIDE_PX / max(grey.shape)
     interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    size = [max(LEAST_SIDE_PX, round(side * scale)) for side in reversed(grey.shape)]
+    size = [max(_LEAST_SIDE_PX, round(side * scale)) for side in reversed(grey.shape)]
     # A detector of its own for every image: it is made in no time, and threads share nothing.
-    orb = cv2.ORB.create(FEATURES, edgeThreshold=BORDER_PX, fastThreshold=FAST_THRESHOLD)
+    orb = cv2.ORB.create(_FEATURES, edgeThreshold=_BORDER_PX, fastThreshold=_FAST_THRESHOLD)
     _, descriptors = orb.detectAndCompute(cv2.resize(grey, size, interpolation=interpolation), None)
-    none = np.empty((0, ORB_BYTES), np.uint8)
+    none = np.empty((0, _ORB_BYTES), np.uint8)
     return none if descriptors is None else np.asarray(descriptors, np.uint8)
 
 
@@ -209,5 +182,4 @@ def _rarity(documents: list[NDArray[np.int64]], words: int) -> NDArray[np.float3
     seen_in = np.zeros(words)
     for document in documents:
         seen_in[np.unique(document)] += 1.0
-    rarity: NDArray[np.float32] = np.log((len(documents) + 1.0) / (seen_in + 1.0)).astype("f4")
-    return rarity
+    return np.asarray(np.log((len(documents) + 1.0) / (seen_in + 1.0)), np.float32)

@@ -2,9 +2,10 @@
 """The maps of one layer of a published network."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +23,10 @@ from placerec.networks.pretrained import (
 )
 from placerec.recognizers.fitted_file import Fitted
 
-LAYER, WEIGHTS = "layer", "weights"
+FloatArray = NDArray[np.float32]
+
+TINY = 1e-12
+_LAYER, _WEIGHTS = "layer", "weights"
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,6 @@ class FeatureMaps:
     """Images in, maps out; on the CPU, and safe to use by threads.
 
     Attributes:
-        layer: what the maps are of.
         title: the layer, without its weights.
         weights: the layer and its weights, in a line.
         fingerprint: changes whenever the maps do.
@@ -74,7 +77,7 @@ class FeatureMaps:
         self.weights = f"{layer.title}, published weights {path.name}"
         self.fingerprint = _fingerprint(layer.title, network)
 
-    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def __call__(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (C, h, w) float32 maps of a uint8 RGB image of any size.
 
         Raises:
@@ -83,6 +86,11 @@ class FeatureMaps:
         with one_thread(), torch.inference_mode():
             maps = self._network.features(self._network.prepare([image]))
         return np.ascontiguousarray(maps[0].numpy(), dtype=np.float32)
+
+    def of_some(self, images: Sequence[NDArray[np.uint8]], at_most: int) -> Iterator[FloatArray]:
+        """Yield the maps of some images, spread evenly over all."""
+        for i in np.linspace(0, len(images) - 1, min(len(images), at_most)).astype(int):
+            yield self(images[int(i)])
 
 
 def find_maps(layers: Sequence[Layer]) -> FeatureMaps:
@@ -108,10 +116,10 @@ def find_fitted_maps(name: str, fitted: Fitted, layers: Sequence[Layer]) -> Feat
     Raises:
         RecognizerError: its weights are missing, or are others than it was fitted with.
     """
-    title = fitted.facts.get(LAYER)
+    title = fitted.facts.get(_LAYER)
     layers = [layer for layer in layers if layer.title == title]
     maps = find_maps(layers) if layers else None
-    if maps is None or maps.fingerprint != fitted.facts.get(WEIGHTS):
+    if maps is None or maps.fingerprint != fitted.facts.get(_WEIGHTS):
         raise RecognizerError(
             f"{name} has seen images with other weights than are here; do it again: "
             f"placerec fit {name} FOLDER --out FILE"
@@ -121,7 +129,13 @@ def find_fitted_maps(name: str, fitted: Fitted, layers: Sequence[Layer]) -> Feat
 
 def facts_of(maps: FeatureMaps) -> dict[str, str]:
     """Return what `find_fitted_maps` knows a layer and its weights by."""
-    return {LAYER: maps.title, WEIGHTS: maps.fingerprint}
+    return {_LAYER: maps.title, _WEIGHTS: maps.fingerprint}
+
+
+def unit_rows(rows: NDArray[np.floating[Any]]) -> FloatArray:
+    """Return (N, C) rows brought to unit length; rows of zeros stay what they are."""
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.maximum(lengths, TINY), np.float32)
 
 
 def _fingerprint(title: str, network: PlaceNetwork) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from placerec.certificate import Certificate, certificate_path, write_certificate
+from placerec.certificate import (
+    Certificate,
+    certificate_beside,
+    certificate_path,
+    write_certificate,
+)
 from placerec.errors import RecognizerError
 from placerec.files import write_atomically
 from placerec.recognizer import (
@@ -27,11 +32,8 @@ from placerec.recognizer import (
 )
 
 METADATA_KEY = "placerec.fitted"
-NETWORK_READER = "placerec.recognizers.learned:LearnedRecognizer"
+_NETWORK_READER = "placerec.recognizers.learned:LearnedRecognizer"
 """Of every file that is not ours: found when it is needed, because it takes torch."""
-SHIPPED = Path(__file__).parents[1] / "weights"
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Fitted:
         min_similarity: similarity from which a match is worth verifying.
     """
 
-    arrays: Mapping[str, Array]
+    arrays: Mapping[str, NDArray[Any]]
     facts: Mapping[str, str] = field(default_factory=dict)
     trained_on: tuple[str, ...] = ()
     min_similarity: float = 0.0
@@ -74,9 +76,43 @@ class _Description(BaseModel):
     facts: dict[str, str]
 
 
+class FittedRecognizer:
+    """What recognizers that learn from images without labels have in common: their file.
+
+    Attributes:
+        name: what it is installed as.
+        min_similarity: of what was learned; by the class, before it is calibrated.
+        trained_on, fingerprint: of what was learned.
+    """
+
+    name: ClassVar[str]
+    min_similarity: float
+    _path: Path | None
+
+    def __init__(self, path: Path | None = None) -> None:
+        """Read what was learned, by default what comes with the package.
+
+        Raises:
+            RecognizerError: the file or the weights it goes with are missing, or do not fit.
+        """
+        self._path = path or shipped(self.name)
+        self._fitted = read_fitted(self._path, self.name)
+        self.min_similarity, self.trained_on = self._fitted.min_similarity, self._fitted.trained_on
+        self.fingerprint = self._fitted.fingerprint
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """What min_similarity was calibrated on, where a certificate lies beside the file.
+
+        Raises:
+            RecognizerError: it cannot be read.
+        """
+        return certificate_beside(self._path) if self._path else None
+
+
 def shipped(recognizer: str) -> Path:
     """Return the file of a built-in recognizer that comes with the package."""
-    return SHIPPED / f"{recognizer}{WEIGHTS_SUFFIX}"
+    return Path(__file__).parents[1] / "weights" / f"{recognizer}{WEIGHTS_SUFFIX}"
 
 
 def write_fitted(path: Path, recognizer: str, fitted: Fitted) -> None:
@@ -101,7 +137,7 @@ def write_fitted(path: Path, recognizer: str, fitted: Fitted) -> None:
             facts=dict(sorted(fitted.facts.items())),
         )
     except ValidationError as error:
-        (first, *_) = error.errors()
+        first = error.errors()[0]
         what = ".".join(map(str, first["loc"]))
         raise RecognizerError(
             f"{what} = {first['input']!r} cannot be kept in a file: {first['msg']}: {path}"
@@ -121,8 +157,7 @@ def read_fitted(path: Path, recognizer: str) -> Fitted:
     try:
         with safe_open(path, framework="np") as file:
             description = _Description.model_validate_json((file.metadata() or {})[METADATA_KEY])
-            names = file.keys()
-            arrays = {name: file.get_tensor(name) for name in names}
+            arrays = {name: file.get_tensor(name) for name in list(file.keys())}
     except (OSError, SafetensorError, KeyError, TypeError, ValidationError) as error:
         raise RecognizerError(f"not a whole file of {recognizer}; {remedy}: {path}") from error
     if description.recognizer != recognizer:
@@ -149,7 +184,7 @@ def open_recognizer(path: Path) -> PlaceRecognizer:
             imported, or cannot be constructed with it.
     """
     owner = owner_of(path)
-    network = EntryPoint(name=str(path), value=NETWORK_READER, group=ENTRY_POINT_GROUP)
+    network = EntryPoint(name=str(path), value=_NETWORK_READER, group=ENTRY_POINT_GROUP)
     reader = imported(network if owner is None else find(owner), f"the recognizer of {path.name}")
     try:
         return cast(Callable[[Path], PlaceRecognizer], reader)(path)
@@ -167,9 +202,7 @@ def keep_calibration(path: Path, recognizer: str, certificate: Certificate) -> P
     Raises:
         RecognizerError: one of the files cannot be read or written.
     """
-    fitted = read_fitted(path, recognizer)
-    beside = certificate_path(path)
+    fitted, beside = read_fitted(path, recognizer), certificate_path(path)
     write_certificate(certificate, beside)
-    calibrated = replace(fitted, min_similarity=certificate.min_similarity)
-    write_fitted(path, recognizer, calibrated)
+    write_fitted(path, recognizer, replace(fitted, min_similarity=certificate.min_similarity))
     return beside

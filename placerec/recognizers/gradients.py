@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A place recognizer without weights: how an image's gradients and colours vary together."""
 
-import hashlib
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,16 +9,16 @@ from numpy.typing import NDArray
 
 FloatMap = NDArray[np.floating[Any] | np.integer[Any]]  # what OpenCV says that it returns
 
-WORKING_SIZE_PX = (160, 120)
-GRID = (40, 30)
-SCALES = 2
-ORIENTATIONS = 4
-FAINT_GRADIENT = 3.0
-COLOUR_GAIN = 2.0
-FULL_LIGHTNESS = 100.0
-FULL_COLOUR = 20.0
-POSITION_WEIGHT = 0.5
-VARIANCE_FLOOR = 1e-3
+_WORKING_SIZE_PX = (160, 120)
+_GRID = (40, 30)
+_SCALES = 2
+_ORIENTATIONS = 4
+_FAINT_GRADIENT = 3.0
+_COLOUR_GAIN = 2.0
+_FULL_LIGHTNESS = 100.0
+_FULL_COLOUR = 20.0
+_POSITION_WEIGHT = 0.5
+_VARIANCE_FLOOR = 1e-3
 
 
 class GradientRecognizer:
@@ -44,21 +41,16 @@ class GradientRecognizer:
 
     min_similarity: float = 0.98
     weights: str = "none: nothing in it is learned"
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """The hash of this file, which alone decides the embeddings."""
-        return f"sha256:{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()}"
+    fingerprint: str = "gradients, version 1"  # another one whenever the embeddings are others
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (496,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image."""
         variances, axes = np.linalg.eigh(_covariance(_features(image)))
-        logarithm = (axes * np.log1p(np.maximum(variances, 0.0) / VARIANCE_FLOOR)) @ axes.T
+        logarithm = (axes * np.log1p(np.maximum(variances, 0.0) / _VARIANCE_FLOOR)) @ axes.T
         rows, columns = np.triu_indices(len(logarithm))
         # An entry off the diagonal stands for two: the vector is then as long as the matrix.
         vector = logarithm[rows, columns] * np.where(rows == columns, 1.0, np.sqrt(2.0))
-        embedding: NDArray[np.float32] = (vector / np.linalg.norm(vector)).astype(np.float32)
-        return embedding
+        return np.asarray(vector / np.linalg.norm(vector), np.float32)
 
 
 def _covariance(features: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,39 +58,37 @@ def _covariance(features: NDArray[np.float64]) -> NDArray[np.float64]:
     centred = features - features.mean(axis=1, keepdims=True)
     # Not `@`: BLAS would wake its threads for a tenth of a millisecond's work and, on a busy
     # machine, wait for them a hundred times as long.
-    products = np.einsum("in,jn->ij", centred, centred)
-    covariance: NDArray[np.float64] = products / features.shape[1]
-    return covariance
+    return np.asarray(np.einsum("in,jn->ij", centred, centred) / features.shape[1])
 
 
 def _features(image: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Return the (F, N) features of the N grid cells of a (H, W, 3) RGB image."""
-    small = cv2.resize(image, WORKING_SIZE_PX, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, _WORKING_SIZE_PX, interpolation=cv2.INTER_AREA)
     lightness, red, yellow = cv2.split(
         cv2.cvtColor(small.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
     )
-    channels = (lightness, COLOUR_GAIN * red, COLOUR_GAIN * yellow)
+    channels = (lightness, _COLOUR_GAIN * red, _COLOUR_GAIN * yellow)
     gradients = [m for channel in channels for m in _gradients(channel)]
     # Red, green, yellow and blue each on their own: more of one is not merely less of another.
     halves = (np.maximum(half, 0.0) for half in (red, -red, yellow, -yellow))
-    colours = [np.sqrt(_to_grid(half) / FULL_COLOUR) for half in halves]
-    y, x = np.mgrid[-1 : 1 : GRID[1] * 1j, -1 : 1 : GRID[0] * 1j] * POSITION_WEIGHT
-    maps = [*gradients, *colours, _to_grid(lightness) / FULL_LIGHTNESS, x, y]
+    colours = [np.sqrt(_to_grid(half) / _FULL_COLOUR) for half in halves]
+    y, x = np.mgrid[-1 : 1 : _GRID[1] * 1j, -1 : 1 : _GRID[0] * 1j] * _POSITION_WEIGHT
+    maps = [*gradients, *colours, _to_grid(lightness) / _FULL_LIGHTNESS, x, y]
     return np.stack(maps).reshape(len(maps), -1).astype(np.float64)
 
 
 def _gradients(channel: FloatMap) -> list[FloatMap]:
     """Return one grid map per scale and orientation of a (H, W) channel's gradients."""
     maps: list[FloatMap] = []
-    for _ in range(SCALES):
+    for _ in range(_SCALES):
         dx = cv2.Sobel(channel, cv2.CV_32F, 1, 0)
         dy = cv2.Sobel(channel, cv2.CV_32F, 0, 1)
         strength = np.hypot(dx, dy) + 1e-3
         # A logarithm, so that a few hard edges do not outshine all the rest.
-        gain = np.log1p(strength / FAINT_GRADIENT) / strength**2
+        gain = np.log1p(strength / _FAINT_GRADIENT) / strength**2
         # Twice the angle: an edge is the same edge seen from its dark and from its bright side.
         cosine, sine = gain * (dx * dx - dy * dy), gain * (2.0 * dx * dy)
-        for angle in np.arange(ORIENTATIONS) * (2.0 * np.pi / ORIENTATIONS):
+        for angle in np.arange(_ORIENTATIONS) * (2.0 * np.pi / _ORIENTATIONS):
             along = float(np.cos(angle)) * cosine + float(np.sin(angle)) * sine
             maps.append(np.sqrt(_to_grid(np.maximum(along, 0.0))))
         channel = cv2.pyrDown(channel)
@@ -106,4 +96,4 @@ def _gradients(channel: FloatMap) -> list[FloatMap]:
 
 
 def _to_grid(channel: FloatMap) -> FloatMap:
-    return cv2.resize(channel, GRID, interpolation=cv2.INTER_AREA)
+    return cv2.resize(channel, _GRID, interpolation=cv2.INTER_AREA)

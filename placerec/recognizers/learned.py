@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from placerec.certificate import (
     Certificate,
+    certificate_beside,
     certificate_path,
-    read_certificate,
     write_certificate,
 )
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, Trunk
 from placerec.networks.preprocessing import one_thread
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
+from placerec.recognizers.fitted_file import shipped
 
-DEFAULT_WEIGHTS = Path(__file__).parents[1] / "weights" / "default.safetensors"
-TRAINED_ON = ("ie_tower:train",)
-"""Of what is measured on, what the default weights have seen: see their model card."""
-FRAMES_PER_PASS = 32
+DEFAULT_WEIGHTS, TRIPLET_WEIGHTS = shipped("default"), shipped("triplet")
+_TRAINED_ON = ("ie_tower:train",)
+"""Of what is measured on, what the shipped weights have seen: see their model card."""
+_FRAMES_PER_PASS = 32
 
 
 class LearnedRecognizer:
@@ -58,7 +59,7 @@ class LearnedRecognizer:
         own = path == DEFAULT_WEIGHTS
         title = "those of the package" if own else path.name
         self.weights = f"{self.network.title}, trained for places: {title}"
-        self.trained_on = TRAINED_ON if own else ()
+        self.trained_on = _TRAINED_ON if own else ()
 
     @cached_property
     def fingerprint(self) -> str:
@@ -72,14 +73,11 @@ class LearnedRecognizer:
         Raises:
             RecognizerError: it cannot be read, or is of other weights.
         """
-        path = certificate_path(self._path)
-        if not path.exists():
-            return None
-        certificate = read_certificate(path)
-        if certificate.fingerprint != self.fingerprint:
+        certificate = certificate_beside(self._path)
+        if certificate and certificate.fingerprint != self.fingerprint:
             raise RecognizerError(
                 f"the certificate is of other weights than {self._path.name}; calibrate these "
-                f"with `placerec calibrate`, or remove it: {path}"
+                f"with `placerec calibrate`, or remove it: {certificate_path(self._path)}"
             )
         return certificate
 
@@ -98,12 +96,12 @@ class LearnedRecognizer:
 
     def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Return the (N, D) float32 embeddings of N images, several to a forward pass."""
-        passes = [images[i : i + FRAMES_PER_PASS] for i in range(0, len(images), FRAMES_PER_PASS)]
+        starts = range(0, len(images), _FRAMES_PER_PASS)
+        rows = [np.empty((0, self.network.dimension), np.float32)]
         with torch.inference_mode():
-            rows = [self.network(self.network.prepare(frames)).numpy() for frames in passes]
-        empty = np.empty((0, self.network.dimension), np.float32)
-        embeddings: NDArray[np.float32] = np.concatenate([empty, *rows])
-        return embeddings
+            for frames in (images[i : i + _FRAMES_PER_PASS] for i in starts):
+                rows.append(self.network(self.network.prepare(frames)).numpy())
+        return np.concatenate(rows)
 
     def embed_place(self, frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of a place seen in consecutive frames.
@@ -116,8 +114,7 @@ class LearnedRecognizer:
         if len(frames) == 0:
             raise RecognizerError("a place needs at least 1 frame to be described by, not 0")
         centre = self.embed_many(frames).mean(axis=0)
-        embedding: NDArray[np.float32] = centre / np.linalg.norm(centre)
-        return embedding
+        return np.asarray(centre / np.linalg.norm(centre), np.float32)
 
 
 def keep_calibration(weights: Path, certificate: Certificate) -> Path:
@@ -133,15 +130,8 @@ def keep_calibration(weights: Path, certificate: Certificate) -> Path:
     return path
 
 
-TRIPLET_WEIGHTS = Path(__file__).parents[1] / "weights" / "triplet.safetensors"
-
-
 class Triplet(LearnedRecognizer):
-    """The default network, trained with eq. 2 on the same images for as many steps.
-
-    Attributes:
-        min_similarity: cosine from which a match is worth verifying, stored with the weights.
-    """
+    """The default network, trained with eq. 2 on the same images for as many steps."""
 
     def __init__(self, path: Path = TRIPLET_WEIGHTS) -> None:
         """Read the weights.
@@ -156,4 +146,4 @@ class Triplet(LearnedRecognizer):
             )
         super().__init__(path)
         self.weights = f"{self.network.title}, trained as the default but with the triplet loss"
-        self.trained_on = TRAINED_ON
+        self.trained_on = _TRAINED_ON

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from placerec.certificate import Certificate, certificate_beside
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
 from placerec.networks.pooling import Vlad
 from placerec.networks.preprocessing import one_thread
 from placerec.networks.pretrained import read_weights
 from placerec.networks.vgg16 import VGG16
-from placerec.networks.whitening import EVENNESS, principal_components
+from placerec.networks.whitening import principal_components, whitened_components
 from placerec.recognizers.feature_maps import (
     FeatureMaps,
     Layer,
@@ -26,32 +25,30 @@ from placerec.recognizers.feature_maps import (
     find_fitted_maps,
     find_maps,
 )
-from placerec.recognizers.fitted_file import Fitted, read_fitted, shipped
+from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
 
-NAME = "netvlad"
-SHIPPED = shipped(NAME)
 PUBLISHED = Layer(
     # The last convolution before its ReLU, in files named ...netvlad... of the layout that PyTorch
     # implementations share: encoder.N, pool.conv, pool.centroids and, in some, WPCA.0.
     replace(
         VGG16,
-        name=NAME,
+        name="netvlad",
         blocks={"conv5_3": VGG16.blocks["conv5_3"] - 1},
         name_in_file="encoder.{}".format,
     ),
     "conv5_3",
     (640, 480),
 )
-STAND_IN = Layer(TRUNKS["squeezenet"], "fire5", (227, 227))
-WORDS = 64
-LOCAL_VALUES, VALUES, MOST_VALUES = 16, 448, 4096
+_STAND_IN = Layer(TRUNKS["squeezenet"], "fire5", (227, 227))
+_WORDS = 64
+_LOCAL_VALUES, _VALUES, _MOST_VALUES = 16, 448, 4096
 """Of the stand-in's local features and its embedding, as many as make a small file, by average
 precision on the validation floors of ie_tower; and of an embedding with published weights."""
-WORDS_FROM, WHITENED_FROM = 300, 4096
+_WORDS_FROM, _WHITENED_FROM = 300, 4096
 """Images, spread evenly, that words and whitening are found with."""
 
 
-class NetVlad:
+class NetVlad(FittedRecognizer):
     """A network's local features, told by how they differ from words; the cosine compares.
 
     Runs on published weights, a file with netvlad in its name, where these are on the machine, and
@@ -62,33 +59,27 @@ class NetVlad:
             ie_tower are as similar with the shipped ones.
     """
 
-    min_similarity: float = 0.5
+    name = "netvlad"
+    min_similarity = 0.5
 
     def __init__(self, path: Path | None = None) -> None:
-        """Read what was fitted, by default with nothing but the published weights, or shipped.
+        """Read what was learned, by default the published weights alone, or what is shipped.
 
         Raises:
             RecognizerError: what is needed is missing, or does not fit.
         """
         published = PUBLISHED.find() if path is None else None
-        self._path = None if published else path or SHIPPED
-        fitted = read_fitted(self._path, NAME) if self._path else Fitted({})
         if published:
+            self._path, self._fitted, self.trained_on = None, Fitted({}), ()
             self._maps = FeatureMaps(PUBLISHED, published)
         else:
-            self._maps = find_fitted_maps(NAME, fitted, [PUBLISHED, STAND_IN])
-            self.min_similarity = fitted.min_similarity
-        self.trained_on = fitted.trained_on
-        arrays = {name: torch.from_numpy(array).float() for name, array in fitted.arrays.items()}
+            super().__init__(path)
+            self._maps = find_fitted_maps(self.name, self._fitted, [PUBLISHED, _STAND_IN])
+        arrays = {name: torch.from_numpy(a).float() for name, a in self._fitted.arrays.items()}
         in_file = _published_head() if self._maps.title == PUBLISHED.title else {}
         self._head = _Head({**in_file, **arrays}).eval()
-        self.fingerprint = f"{self._maps.fingerprint} {fitted.fingerprint}"
-        self.weights = self._maps.weights + _how_fitted(fitted, bool(in_file), self._head)
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """What min_similarity was calibrated on, where a certificate lies beside the file."""
-        return certificate_beside(self._path) if self._path else None
+        self.fingerprint = f"{self._maps.fingerprint} {self._fitted.fingerprint}"
+        self.weights = self._maps.weights + _how_fitted(self._fitted, bool(in_file), self._head)
 
     @classmethod
     def fit(cls, images: Sequence[NDArray[np.uint8]], seed: int = 0) -> Fitted:
@@ -97,14 +88,13 @@ class NetVlad:
         Raises:
             RecognizerError: there are too few images, or no weights.
         """
-        maps = find_maps([PUBLISHED, STAND_IN])
+        maps = find_maps([PUBLISHED, _STAND_IN])
         is_published = maps.title == PUBLISHED.title
         with torch.inference_mode():
             learned = {} if is_published else _find_words(maps, images, seed)
             head = _Head({**_published_head(), **learned} if is_published else learned)
-            rows = torch.cat([head(each) for each in _some_maps(maps, images, WHITENED_FROM)])
-            values = MOST_VALUES if is_published else VALUES
-            learned |= whitening(rows, values)
+            rows = torch.cat([head(each) for each in _some_maps(maps, images, _WHITENED_FROM)])
+            learned |= whitening(rows, _MOST_VALUES if is_published else _VALUES)
         arrays = {name: value.numpy() for name, value in learned.items()}
         half = {"whitening.weight": arrays["whitening.weight"].astype(np.float16)}
         return Fitted(arrays | half, facts_of(maps))
@@ -161,9 +151,7 @@ def _published_head() -> dict[str, Tensor]:
 def _some_maps(
     maps: FeatureMaps, images: Sequence[NDArray[np.uint8]], at_most: int
 ) -> Iterator[Tensor]:
-    """Yield the (1, C, h, w) maps of some images, spread evenly over all."""
-    for i in np.linspace(0, len(images) - 1, min(len(images), at_most)).astype(int):
-        yield torch.from_numpy(maps(images[int(i)]))[None]
+    return (torch.from_numpy(each)[None] for each in maps.of_some(images, at_most))
 
 
 def _find_words(
@@ -172,37 +160,28 @@ def _find_words(
     """Return the principal components of local features, and words of what these leave of them."""
     features = [
         functional.normalize(each, dim=1)[0].flatten(start_dim=1).T
-        for each in _some_maps(maps, images, WORDS_FROM)
+        for each in _some_maps(maps, images, _WORDS_FROM)
     ]
     local = torch.cat(features)
     mean = local.mean(dim=0)
-    directions, _ = principal_components(local - mean, LOCAL_VALUES)
-    vlad = Vlad(WORDS, len(directions))
+    directions, _ = principal_components(local - mean, _LOCAL_VALUES)
+    vlad = Vlad(_WORDS, len(directions))
     vlad.start((local - mean) @ directions.T, seed)
     found = {f"vlad.{name}": value for name, value in vlad.state_dict().items()}
-    return {
-        **found,
-        "local.weight": directions[:, :, None, None],
-        "local.bias": -directions @ mean,
-    }
+    local_layer = {"local.weight": directions[:, :, None, None], "local.bias": -directions @ mean}
+    return found | local_layer
 
 
 def whitening(rows: Tensor, at_most: int) -> dict[str, Tensor]:
     """Return a layer that makes (n, F) rows vary alike in their at most so many directions."""
-    centred = rows.double() - rows.double().mean(dim=0)
     # As many directions as images, less one, vary at all.
-    directions, variances = principal_components(centred, min(at_most, max(1, len(rows) - 1)))
-    strength = (variances + EVENNESS * variances.mean()).rsqrt()
-    weight = strength[:, None] * directions
-    return {
-        "whitening.weight": weight.float(),
-        "whitening.bias": (-weight @ rows.double().mean(dim=0)).float(),
-    }
+    mean, weight = whitened_components(rows, min(at_most, max(1, len(rows) - 1)))
+    return {"whitening.weight": weight.float(), "whitening.bias": (-weight @ mean).float()}
 
 
 def _how_fitted(fitted: Fitted, is_published: bool, head: _Head) -> str:
     if not is_published:
-        return f" in place of NetVLAD's; {WORDS} words and whitening of {fitted.source}"
+        return f" in place of NetVLAD's; {_WORDS} words and whitening of {fitted.source}"
     if fitted.arrays:
         return f"; whitening of {fitted.source}"
     return "" if isinstance(head.whitening, nn.Linear) else "; not whitened"

@@ -7,39 +7,40 @@ ICLR 2016. As in the multi-constraint paper the regions are not summed up but ma
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import Certificate, certificate_beside
 from placerec.checked_recognizer import Embeddings, Similarities
 from placerec.networks import TRUNKS
-from placerec.recognizers.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.recognizers.fitted_file import Fitted, read_fitted, shipped
+from placerec.recognizers.feature_maps import (
+    TINY,
+    FloatArray,
+    Layer,
+    facts_of,
+    find_fitted_maps,
+    find_maps,
+    unit_rows,
+)
+from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
 
-NAME = "r-mac"
-SHIPPED = shipped(NAME)
 LAYERS = (
     Layer(TRUNKS["vgg16"], "conv5_2", (224, 224)),
     Layer(TRUNKS["mobilenet_v2"], "block16", (320, 240)),
 )
 """The paper's, and one whose weights are small; its image size, and EVENNESS, have the highest
 average precision of those tried on the validation floors of ie_tower: 0.47 (0.43 at 192x144)."""
-SCALES = 3
-OVERLAP = 0.4
+_SCALES = 3
+_OVERLAP = 0.4
 """Of neighbouring regions of the largest scale, as nearly as the shape of the maps allows."""
-MOST_ALONG = 6
-TIE = 1e-5
+_MOST_ALONG = 6
+_TIE = 1e-5
 """Regions whose cosines differ by less are equally good matches."""
 EVENNESS = 0.1
 """Share of the mean variance that is added to each before it is whitened."""
-TINY = 1e-12
-
-FloatArray = NDArray[np.float32]
 
 
-class RMac:
+class RMac(FittedRecognizer):
     """Regions of a network's last maps, whitened; compared by the regions that match mutually.
 
     Attributes:
@@ -47,29 +48,17 @@ class RMac:
             similar.
     """
 
-    min_similarity: float = 0.055
+    name = "r-mac"
+    min_similarity = 0.055
     looks_back = 0
 
-    def __init__(self, path: Path = SHIPPED) -> None:
-        """Read a whitening, by default the shipped one, and the published weights.
-
-        Raises:
-            RecognizerError: one of them is missing, or they do not fit.
-        """
-        fitted = read_fitted(path, NAME)
-        self._maps = find_fitted_maps(NAME, fitted, LAYERS)
+    def __init__(self, path: Path | None = None) -> None:
+        super().__init__(path)
+        self._maps = find_fitted_maps(self.name, self._fitted, LAYERS)
         self._mean, self._whitening = (
-            fitted.arrays[name].astype(np.float32) for name in ("mean", "whitening")
+            self._fitted.arrays[name].astype(np.float32) for name in ("mean", "whitening")
         )
-        self._path = path
-        self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
-        self.fingerprint = fitted.fingerprint
-        self.weights = f"{self._maps.weights}; whitened on {fitted.source}"
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """What min_similarity was calibrated on, where a certificate lies beside the whitening."""
-        return certificate_beside(self._path)
+        self.weights = f"{self._maps.weights}; whitened on {self._fitted.source}"
 
     @classmethod
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
@@ -83,7 +72,7 @@ class RMac:
     def embed(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (N, C) float32 unit-length rows of an image's N regions."""
         regions = pooled_regions(self._maps(image))
-        return _unit((regions - self._mean) @ self._whitening.T)
+        return unit_rows((regions - self._mean) @ self._whitening.T)
 
     def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
         """Return the (Q, R) float32 shares of regions that match mutually, each by its cosine."""
@@ -91,17 +80,17 @@ class RMac:
 
 
 def regions_of(height: int, width: int) -> list[tuple[int, int, int]]:
-    """Return top, left and side of square regions of maps, of SCALES sizes.
+    """Return top, left and side of square regions of maps, of three sizes.
 
     At scale l there are l of them along the shorter side and l + m - 1 along the longer, twice the
-    shorter divided by l + 1 wide; m is such that those of the first overlap by OVERLAP.
+    shorter divided by l + 1 wide; m is such that those of the first overlap by 0.4.
     """
     short, long = min(height, width), max(height, width)
     # Among m regions of side `short` along `long`, neighbours are (long - short) / (m - 1) apart.
-    steps = {m: (long - short) / (m - 1) for m in range(2, MOST_ALONG + 2)}
-    m = 1 if long == short else min(steps, key=lambda m: abs(1.0 - steps[m] / short - OVERLAP))
+    steps = {m: (long - short) / (m - 1) for m in range(2, _MOST_ALONG + 2)}
+    m = 1 if long == short else min(steps, key=lambda m: abs(1.0 - steps[m] / short - _OVERLAP))
     found: list[tuple[int, int, int]] = []
-    for scale in range(1, SCALES + 1):
+    for scale in range(1, _SCALES + 1):
         side = max(1, 2 * short // (scale + 1))
         few = np.linspace(0, short - side, scale).astype(int)
         many = np.linspace(0, long - side, scale + m - 1).astype(int)
@@ -114,7 +103,7 @@ def pooled_regions(maps: FloatArray) -> FloatArray:
     """Return the (N, C) unit-length maxima of the regions of (C, h, w) maps."""
     squares = regions_of(*maps.shape[1:])
     pooled = [maps[:, y : y + side, x : x + side].max(axis=(1, 2)) for y, x, side in squares]
-    return _unit(np.stack(pooled))
+    return unit_rows(np.stack(pooled))
 
 
 def principal_components(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -128,15 +117,10 @@ def principal_components(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     return mean.astype(np.float32), whitening.astype(np.float32)
 
 
-def _unit(rows: NDArray[np.floating[Any]]) -> FloatArray:
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.maximum(lengths, TINY), np.float32)
-
-
 def _matched(query: FloatArray, references: Embeddings) -> FloatArray:
     """Return the (R,) similarities of (N, C) regions to (R, N, C) ones."""
     cosines = references @ query.T
     best_of_query = cosines.max(axis=1)
     best_of_reference = cosines.max(axis=2, keepdims=True)
-    mutual = cosines >= np.maximum(best_of_query[:, None], best_of_reference) - TIE
+    mutual = cosines >= np.maximum(best_of_query[:, None], best_of_reference) - _TIE
     return np.asarray(np.where(mutual.any(axis=1), best_of_query, 0.0).mean(axis=1), np.float32)

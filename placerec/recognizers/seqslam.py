@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 from placerec.checked_recognizer import CheckedRecognizer, Embeddings, Similarities
 from placerec.recognizer import PlaceRecognizer
 
-THUMBNAIL_PX = (64, 32)
-PATCH_PX = 8
-SEQUENCE = 10
-NEIGHBOURS = 10
-SPEEDS = (0.8, 0.9, 1.0, 1.1, 1.2)
+_THUMBNAIL_PX = (64, 32)
+_PATCH_PX = 8
+_SEQUENCE = 10
+_NEIGHBOURS = 10
+_SPEEDS = (0.8, 0.9, 1.0, 1.1, 1.2)
 """All as Milford and Wyeth 2012 have them."""
-FAINT = 1e-6
+_FAINT = 1e-6
 
 
 class Thumbnails:
     """Thumbnails whose every patch has the same brightness and contrast, compared by the cosine."""
 
     min_similarity: float = 0.23
-    fingerprint = f"thumbnails of {THUMBNAIL_PX} px, patches of {PATCH_PX} px"
+    fingerprint = f"thumbnails of {_THUMBNAIL_PX} px, patches of {_PATCH_PX} px"
     weights = "thumbnails, no weights"
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -31,16 +31,15 @@ class Thumbnails:
 
         The last value is what is left of an image without any contrast, and 0 in others.
         """
-        small = cv2.resize(image, THUMBNAIL_PX, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(image, _THUMBNAIL_PX, interpolation=cv2.INTER_AREA)
         grey = np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), np.float64)
-        rows, columns = (side // PATCH_PX for side in grey.shape)
-        patches = grey.reshape(rows, PATCH_PX, columns, PATCH_PX)
+        rows, columns = (side // _PATCH_PX for side in grey.shape)
+        patches = grey.reshape(rows, _PATCH_PX, columns, _PATCH_PX)
         centred = patches - patches.mean(axis=(1, 3), keepdims=True)
         contrast = centred.std(axis=(1, 3), keepdims=True)
-        normalised = np.where(contrast > 0.0, centred / np.maximum(contrast, FAINT), 0.0)
+        normalised = np.where(contrast > 0.0, centred / np.maximum(contrast, _FAINT), 0.0)
         vector = np.append(normalised, 0.0 if normalised.any() else 1.0)
-        embedding: NDArray[np.float32] = (vector / np.linalg.norm(vector)).astype(np.float32)
-        return embedding
+        return np.asarray(vector / np.linalg.norm(vector), np.float32)
 
 
 class SeqSlam:
@@ -57,7 +56,7 @@ class SeqSlam:
     """
 
     min_similarity: float = 0.3
-    looks_back = SEQUENCE - 1
+    looks_back = _SEQUENCE - 1
 
     def __init__(self, recognizer: PlaceRecognizer | None = None) -> None:
         """Wrap a recognizer, by default of patch-normalised thumbnails."""
@@ -68,7 +67,7 @@ class SeqSlam:
     def weights(self) -> str:
         """What single images are recognised by."""
         of = getattr(self._single, "weights", "") or type(self._single).__name__
-        return f"sequences of {SEQUENCE}: {of}"
+        return f"sequences of {_SEQUENCE}: {of}"
 
     @property
     def trained_on(self) -> tuple[str, ...]:
@@ -93,16 +92,15 @@ class SeqSlam:
         contrast = stand_out(self._checked.compare(queries, references))
         rows, columns = contrast.shape
         best = np.full(contrast.shape, -np.inf)
-        margin = round(max(SPEEDS) * (SEQUENCE - 1))
+        margin = round(max(_SPEEDS) * (_SEQUENCE - 1))
         wide = np.pad(contrast, ((0, 0), (margin, margin)))
-        for speed in (*SPEEDS, *(-speed for speed in SPEEDS)):
+        for speed in (*_SPEEDS, *(-speed for speed in _SPEEDS)):
             along = np.zeros(contrast.shape)
-            for back in range(min(SEQUENCE, rows)):
+            for back in range(min(_SEQUENCE, rows)):
                 start = margin - round(speed * back)
                 along[back:] += wide[: rows - back, start : start + columns]
             best = np.maximum(best, along)
-        similarities: Similarities = (best / SEQUENCE).astype(np.float32)
-        return similarities
+        return np.asarray(best / _SEQUENCE, np.float32)
 
 
 def stand_out(similarities: Similarities) -> NDArray[np.float64]:
@@ -112,13 +110,12 @@ def stand_out(similarities: Similarities) -> NDArray[np.float64]:
     """
     count = similarities.shape[1]
     columns = np.arange(count)
-    first = np.maximum(columns - NEIGHBOURS // 2, 0)
-    last = np.minimum(columns + NEIGHBOURS // 2 + 1, count)
+    first = np.maximum(columns - _NEIGHBOURS // 2, 0)
+    last = np.minimum(columns + _NEIGHBOURS // 2 + 1, count)
     sizes = (last - first).astype(np.float64)
     values = similarities.astype(np.float64)
     sums, squares = (np.pad(each.cumsum(axis=1), ((0, 0), (1, 0))) for each in (values, values**2))
     mean = (sums[:, last] - sums[:, first]) / sizes
     variance = (squares[:, last] - squares[:, first]) / sizes - mean**2
     spread = np.sqrt(np.maximum(variance, 0.0) * np.maximum(sizes - 1.0, 1.0))
-    contrast: NDArray[np.float64] = (values - mean) / np.maximum(spread, FAINT)
-    return np.clip(contrast, -1.0, 1.0)
+    return np.asarray(np.clip((values - mean) / np.maximum(spread, _FAINT), -1.0, 1.0))

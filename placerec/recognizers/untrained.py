@@ -7,17 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import Certificate, certificate_beside
 from placerec.networks import TRUNKS
 from placerec.recognizers.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.recognizers.fitted_file import Fitted, read_fitted, shipped
+from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
 
-NAME = "untrained"
-SHIPPED = shipped(NAME)
 LAYER = Layer(TRUNKS["mobilenet_v2"], "block16", (192, 144))
 
 
-class UntrainedLayer:
+class UntrainedLayer(FittedRecognizer):
     """The flattened maps of a layer, less their mean over other images, on the unit sphere.
 
     Which layer matters more than anything else, so it was chosen in this method's favour: of all
@@ -29,26 +26,14 @@ class UntrainedLayer:
         min_similarity: 1 % of the pairs of images of different validation floors are as similar.
     """
 
-    min_similarity: float = 0.28
+    name = "untrained"
+    min_similarity = 0.28
 
-    def __init__(self, path: Path = SHIPPED) -> None:
-        """Read a mean, by default the shipped one, and the published weights.
-
-        Raises:
-            RecognizerError: one of them is missing, or they do not fit.
-        """
-        fitted = read_fitted(path, NAME)
-        self._maps = find_fitted_maps(NAME, fitted, [LAYER])
-        self._mean = fitted.arrays["mean"].astype(np.float32)
-        self._path = path
-        self.min_similarity, self.trained_on = fitted.min_similarity, fitted.trained_on
-        self.fingerprint = fitted.fingerprint
-        self.weights = f"{self._maps.weights}; mean of {fitted.source}"
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """What min_similarity was calibrated on, where a certificate lies beside the mean."""
-        return certificate_beside(self._path)
+    def __init__(self, path: Path | None = None) -> None:
+        super().__init__(path)
+        self._maps = find_fitted_maps(self.name, self._fitted, [LAYER])
+        self._mean = self._fitted.arrays["mean"].astype(np.float32)
+        self.weights = f"{self._maps.weights}; mean of {self._fitted.source}"
 
     @classmethod
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:

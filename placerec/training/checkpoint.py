@@ -5,7 +5,7 @@ import hashlib
 import io
 import json
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,14 @@ from placerec.errors import RecognizerError
 from placerec.files import write_atomically
 from placerec.networks import PlaceNetwork
 from placerec.training.config import TrainingConfig
-from placerec.training.images import PlaceImages
+from placerec.training.images import Augmentation, PlaceImages
 
-MAY_CHANGE = frozenset(
-    {"max_steps", "max_seconds", "checkpoint_interval_s", "learning_rate", "trunk_learning_rate"}
-)
+_MAY_CHANGE = {"steps", "minutes", "learning_rate", "trunk_learning_rate"}
 """Settings that a resumed training need not share with its beginning."""
+_SEEN_IN_NETWORK = {
+    *("trunk", "block", "grid", "covariance", "words", "size", "dimension"),
+    *("weights", "random_last_layer"),
+}
 DIGITS = 12
 
 
@@ -59,16 +61,15 @@ def settings_of(
 ) -> dict[str, str]:
     """Return what a training must share with the checkpoint it goes on from, by name.
 
-    Args:
-        config: how it learns.
-        network: as it is before the first step.
-        images: what it learns from.
+    The network is asked for as it is before the first step.
     """
     size, last = network.preprocessing, type(network.fully_connected)
     labels = np.ascontiguousarray(images.places, np.int64).tobytes()
-    count = len(images.scenes)
-    collections = len(np.unique(images.collections))
-    described = config.model_dump(mode="json", exclude=set(MAY_CHANGE))
+    count, collections = len(images.scenes), len(np.unique(images.collections))
+    described = asdict(config) | asdict(config.rules)
+    described["augmentation"] = asdict(Augmentation()) if described.pop("augment") else None
+    for name in _MAY_CHANGE | _SEEN_IN_NETWORK:
+        del described[name]
     return {name: json.dumps(value) for name, value in described.items()} | {
         "network": f"{network.trunk.name} to {network.block}, {network.dimension} values of "
         f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
@@ -86,9 +87,7 @@ def write_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
         RecognizerError: it cannot be written.
     """
     buffer = io.BytesIO()
-    torch.save(
-        {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}, buffer
-    )
+    torch.save(vars(checkpoint), buffer)
     write_atomically(path, buffer.getvalue())
 
 

@@ -1,20 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
 """The settings of a training; where the paper gives a value, it is the default."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic.dataclasses import dataclass
 
-from placerec.training.image_sets import GAMMA, GAMMA_PRIME, NEGATIVES, POSITIVES, SetRules
-from placerec.training.images import Augmentation
-from placerec.training.losses import ALPHA, BETA
+from placerec.errors import RecognizerError
+from placerec.training.image_sets import GAMMA_PRIME, SetRules
 
 
-@dataclass(frozen=True)
-class TrainingPlan:
-    """A network, what it starts from, and how it is trained."""
+class Loss(StrEnum):
+    """What is minimised.
+
+    The paper's loss by its farthest positive and nearest negative (eq. 7) or by all of them
+    (eq. 6), or the triplet loss (eq. 2) on the same sets, to compare with.
+    """
+
+    SIMPLIFIED = "multi-constraint"
+    FULL = "multi-constraint-full"
+    TRIPLET = "triplet"
+
+
+@dataclass(
+    frozen=True,
+    config=ConfigDict(extra="forbid", populate_by_name=True, use_enum_values=True),
+)
+class TrainingConfig:
+    """A network, what it starts from, and how it is trained: also the flags of `placerec train`.
+
+    `Training` is given a network; of this, it asks only what comes after `random_last_layer`.
+
+    Raises:
+        RecognizerError: a value is not allowed.
+    """
 
     trunk: str = "mobilenet_v2"
     """Convolutions: alexnet, vgg16, squeezenet or mobilenet_v2."""
@@ -36,97 +64,55 @@ class TrainingPlan:
     random_last_layer: bool = False
     """Start the fully connected layer from random weights, as the paper does, not from whitened
     principal components of what the trunk makes of DATA."""
-    loss: str = "multi-constraint"
+    # A string to tyro, so that errors about it are told as all others are.
+    loss: Annotated[str, GetPydanticSchema(lambda _, schema: schema(Loss))] = Loss.SIMPLIFIED.value
     """What is minimised: multi-constraint, multi-constraint-full or triplet."""
-    alpha: float = 0.5
+    alpha: float = Field(default=0.5, ge=0.0)
     """Margin between positives and negatives; 0.5 is the paper's."""
-    beta: float = 0.3
+    beta: float = Field(default=0.3, ge=0.0)
     """Margin between the positives' spread and two negatives' distance; 0.3 is the paper's."""
-    gamma_prime: float = 0.4
-    """Squared distance below which a negative is learned from; 0.4 is the paper's."""
-    scenes_per_round: int | None = None
-    """Recordings of DATA that are visited per round, drawn anew each time; none: all."""
-    places_per_scene: int | None = None
-    """Places of each that are looked at per round, drawn anew each time; none: all."""
-    images_per_place: int = 8
-    """Images of each place that are looked at per round, drawn anew each time."""
-    batch_sets: int = 5
-    """Image sets per step."""
-    steps: int | None = None
-    """Steps after which the training ends; none: when all places are told apart. With 0 the trunk
-    stays what it is, and the fully connected layer is made anew."""
-    minutes: float | None = None
-    """Time after which the training ends, resumed parts added up; none: no such limit."""
-    learning_rate: float = 1e-4
-    """Of the fully connected layer."""
-    trunk_learning_rate: float = 1e-5
-    """Of the layers before it."""
-    frozen_block: str | None = None
-    """The trunk stays as it is up to the end of this block; none: all layers are trained."""
-    augment: bool = True
-    """Turn, crop, blur and relight the images of each step, as a hand-held camera would."""
-    mixed_precision: bool = False
-    """Multiply in bfloat16 on a CPU too, as on a GPU always: faster where the CPU knows how."""
-    seed: int = 0
-    """What all draws come from."""
-
-
-class Loss(StrEnum):
-    """What is minimised."""
-
-    SIMPLIFIED = "multi-constraint"
-    FULL = "multi-constraint-full"
-    TRIPLET = "triplet"
-
-
-class TrainingConfig(BaseModel):
-    """How a network is trained."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-    loss: Loss = Loss.SIMPLIFIED
-    """The paper's loss by its farthest positive and nearest negative (eq. 7) or by all of them
-    (eq. 6), or the triplet loss (eq. 2) on the same sets, to compare with."""
-    alpha: float = Field(default=ALPHA, ge=0.0)
-    """Margin between positives and negatives."""
-    beta: float = Field(default=BETA, ge=0.0)
-    """Margin between the positives' spread and the distance of two negatives."""
-    gamma: float = Field(default=GAMMA, ge=0.0)
-    """Squared distance to the centre above which a positive is learned from."""
     gamma_prime: float = Field(default=GAMMA_PRIME, ge=0.0)
-    """Squared distance to the centre below which a negative is learned from."""
-    positives: int = Field(default=POSITIVES, ge=1)
-    """Images of the same place in a set."""
-    negatives: int = Field(default=NEGATIVES, ge=2)
-    """Images of other places in a set."""
-    batch_sets: int = Field(default=5, ge=1)
-    """Sets per step, over all processes together."""
-    images_per_place: int | None = Field(default=8, ge=1)
-    """Images of each place that are looked at per round, drawn anew each time; none: all."""
+    """Squared distance below which a negative is learned from; 0.4 is the paper's."""
     scenes_per_round: int | None = Field(default=None, ge=1)
-    """Rooms or recordings that are visited per round, drawn anew each time; none: all."""
+    """Recordings of DATA that are visited per round, drawn anew each time; none: all."""
     places_per_scene: int | None = Field(default=None, ge=2)
     """Places of each that are looked at per round, drawn anew each time; none: all."""
+    images_per_place: int = Field(default=8, ge=1)
+    """Images of each place that are looked at per round, drawn anew each time."""
+    batch_sets: int = Field(default=5, ge=1)
+    """Image sets per step."""
+    steps: int | None = Field(default=None, ge=0, alias="max_steps")
+    """Steps after which the training ends; none: when all places are told apart. With 0 the trunk
+    stays what it is, and the fully connected layer is made anew."""
+    minutes: float | None = Field(default=None, gt=0.0)
+    """Time after which the training ends, resumed parts added up; none: no such limit."""
     learning_rate: float = Field(default=1e-4, gt=0.0)
     """Of the fully connected layer."""
     trunk_learning_rate: float = Field(default=1e-5, ge=0.0)
     """Of the layers before it."""
     frozen_block: str | None = None
     """The trunk stays as it is up to the end of this block; none: all layers are trained."""
-    augmentation: Augmentation | None = None
-    """Changes made to the images of a step; none: what frozen layers see is worked out once."""
+    augment: bool = False
+    """Turn, crop, blur and relight the images of each step, as a hand-held camera would."""
     mixed_precision: bool = False
     """Multiply in bfloat16 on a CPU too, as on a GPU always: faster where the CPU knows how."""
-    max_steps: int | None = Field(default=None, ge=0)
-    """The training ends after so many steps; the learning rates fall to zero along a cosine."""
-    max_seconds: float | None = Field(default=None, gt=0.0)
-    """The training ends after this time, resumed parts added up."""
-    checkpoint_interval_s: float = Field(default=180.0, ge=0.0)
-    """Time between two checkpoints."""
     seed: int = Field(default=0, ge=0)
     """What all draws come from."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _in_one_line(
+        cls, values: object, validate: ModelWrapValidatorHandler["TrainingConfig"]
+    ) -> "TrainingConfig":
+        try:
+            return validate(values)
+        except ValidationError as error:
+            first = error.errors()[0]
+            name, why = first["loc"][0], first["msg"]
+            what = f"{name} = {first['input']!r}: {why[0].lower()}{why[1:]}"
+            raise RecognizerError(what) from error
 
     @property
     def rules(self) -> SetRules:
         """How image sets are built."""
-        return SetRules(self.gamma, self.gamma_prime, self.positives, self.negatives)
+        return SetRules(gamma_prime=self.gamma_prime)

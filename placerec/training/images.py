@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a hand-held camera does to a view of the same place: turns, shifts, blurs, other light."""
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+
+Image = NDArray[np.uint8]
 
 
 class PlaceImages(Protocol):
@@ -31,30 +33,29 @@ class PlaceImages(Protocol):
         """Return (m, m) bool for m images: pairs that may show one place whatever their labels."""
         ...
 
-    def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
+    def __getitem__(self, index: int, /) -> Image:
         """Return an image, (H, W, 3) uint8 RGB, of any size."""
         ...
 
 
-Image = NDArray[np.uint8]
+@dataclass(frozen=True)
+class Augmentation:
+    """How far a view may be changed; zero everywhere changes nothing.
 
+    Attributes:
+        brightness: largest change of exposure, of gamma (half of it) and of each colour (a
+            quarter), as a natural logarithm.
+        blur: longest streak of motion blur, as a share of the image's width.
+        crop: largest share of each side that is cut away, below 1.
+        perspective: largest shift of a corner, as a share of each side, below 0.5.
+        roll_deg: largest rotation in the image plane.
+    """
 
-class Augmentation(BaseModel):
-    """How far a view may be changed; zero everywhere changes nothing."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-    brightness: float = Field(default=0.4, ge=0.0, le=2.0)
-    """Largest change of exposure, of gamma (half of it) and of each colour (a quarter), as a
-    natural logarithm."""
-    blur: float = Field(default=0.02, ge=0.0, le=0.5)
-    """Longest streak of motion blur, as a share of the image's width."""
-    crop: float = Field(default=0.2, ge=0.0, lt=1.0)
-    """Largest share of each side that is cut away."""
-    perspective: float = Field(default=0.08, ge=0.0, lt=0.5)
-    """Largest shift of a corner, as a share of each side."""
-    roll_deg: float = Field(default=15.0, ge=0.0, le=180.0)
-    """Largest rotation in the image plane."""
+    brightness: float = 0.4
+    blur: float = 0.02
+    crop: float = 0.2
+    perspective: float = 0.08
+    roll_deg: float = 15.0
 
     def __call__(self, image: Image, rng: np.random.Generator) -> Image:
         """Return a changed copy, of the same shape, of a (H, W, 3) uint8 image."""
@@ -66,9 +67,8 @@ class Augmentation(BaseModel):
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2.0
         kept = 1.0 - self.crop * rng.random()
         roll_rad = np.deg2rad(self.roll_deg) * rng.uniform(-1.0, 1.0)
-        turn = np.array(
-            [[np.cos(roll_rad), np.sin(roll_rad)], [-np.sin(roll_rad), np.cos(roll_rad)]]
-        )
+        cosine, sine = np.cos(roll_rad), np.sin(roll_rad)
+        turn = np.array([[cosine, sine], [-sine, cosine]])
         seen = kept * corners @ turn + self.perspective * rng.uniform(-1.0, 1.0, (4, 2)) * size
         seen += (1.0 - kept) / 2.0 * rng.uniform(-1.0, 1.0, 2) * size
         to_seen = cv2.getPerspectiveTransform(

@@ -42,8 +42,10 @@ class StepRecord:
     time_to_go_s: float
 
 
-NAMES = [field.name for field in fields(StepRecord)]
+_NAMES = [field.name for field in fields(StepRecord)]
 _RECORD = TypeAdapter(StepRecord)
+_SMOOTHED_SHARE = 0.05
+"""Share of all steps that a point of the plot's smooth line is the mean of."""
 
 
 class TrainingLog:
@@ -57,7 +59,7 @@ class TrainingLog:
         """
         self._path = path
         kept = [record for record in read_log(path) if record.step <= last_step]
-        lines = [NAMES, *(_row(record) for record in kept)]
+        lines = [_NAMES, *(_row(record) for record in kept)]
         write_atomically(path, "".join(",".join(line) + "\n" for line in lines).encode())
 
     def add(self, record: StepRecord) -> None:
@@ -88,11 +90,11 @@ def read_log(path: Path) -> list[StepRecord]:
     except (OSError, UnicodeDecodeError) as error:
         raise RecognizerError(f"cannot read the log: {error}: {path}") from error
     # The last line ends in no line break where a process was killed within it.
-    header, *rows = [line.split(",") for line in text.split("\n")[:-1]] or [NAMES]
+    header, *rows = [line.split(",") for line in text.split("\n")[:-1]] or [_NAMES]
     try:
-        if header != NAMES:
+        if header != _NAMES:
             raise ValueError
-        return [_RECORD.validate_python(dict(zip(NAMES, row, strict=True))) for row in rows]
+        return [_RECORD.validate_python(dict(zip(_NAMES, row, strict=True))) for row in rows]
     except ValueError as error:
         raise RecognizerError(
             f"the file is no log of a training; remove it or choose another folder: {path}"
@@ -104,11 +106,6 @@ def _row(record: StepRecord) -> list[str]:
     return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in values]
 
 
-SMOOTHED_SHARE = 0.05
-"""Share of all steps that a point of the smooth line is the mean of."""
-STEP_COLOUR, MEAN_COLOUR = "#b8c4d0", "#1f5fa8"
-
-
 def write_plot(records: Sequence[StepRecord], path: Path) -> None:
     """Write loss and share of sets that still cost something, step by step, as a PNG file.
 
@@ -118,13 +115,10 @@ def write_plot(records: Sequence[StepRecord], path: Path) -> None:
     steps = np.array([record.step for record in records])
     figure = Figure(figsize=(7.0, 5.0), dpi=120, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    curves = {
-        "loss": (upper, [record.loss for record in records]),
-        "sets with a loss": (lower, [record.active_share for record in records]),
-    }
-    for title, (axes, values) in curves.items():
-        axes.plot(steps, values, color=STEP_COLOUR, linewidth=0.8, label="per step")
-        axes.plot(steps, _smooth(np.array(values)), color=MEAN_COLOUR, label="moving mean")
+    losses, shares = ([getattr(r, name) for r in records] for name in ("loss", "active_share"))
+    for title, axes, values in (("loss", upper, losses), ("sets with a loss", lower, shares)):
+        axes.plot(steps, values, color="#b8c4d0", linewidth=0.8, label="per step")
+        axes.plot(steps, _smooth(values), color="#1f5fa8", label="moving mean")
         axes.set_ylabel(title)
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
@@ -136,9 +130,9 @@ def write_plot(records: Sequence[StepRecord], path: Path) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def _smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _smooth(values: Sequence[float]) -> NDArray[np.float64]:
     """Return the (N,) means of what lies around each of (N,) values, fewer towards the ends."""
-    half = int(SMOOTHED_SHARE * len(values) / 2.0)
+    half = int(_SMOOTHED_SHARE * len(values) / 2.0)
     sums = np.concatenate([[0.0], np.cumsum(values)])
     middle = np.arange(len(values))
     start, stop = np.maximum(middle - half, 0), np.minimum(middle + half + 1, len(values))

@@ -21,9 +21,11 @@ from placerec.training.learner import Learner
 from placerec.training.log import StepRecord, TrainingLog
 from placerec.training.workers import Workers
 
-CHECKPOINT_NAME, LOG_NAME = "checkpoint.pt", "log.csv"
-EMPTY_ROUNDS = 5
+LOG_NAME = "log.csv"
+CHECKPOINT_INTERVAL_S = 180.0
+_EMPTY_ROUNDS = 5
 """So many rounds without a set in a row end a training: each draws other images and anchors."""
+_NO_SETS = np.empty((2, 0, 0), np.int64)
 
 
 class End(StrEnum):
@@ -82,8 +84,7 @@ class Training:
         self._progress = progress
         self._settings = settings_of(config, network, images) | dict(origin or {})
         self._learner = Learner(network, images, config, self._workers)
-        nothing = np.empty((0, 0), np.int64)
-        self._sets, self._used, self._round, self._step = ImageSets(nothing, nothing), 0, 0, 0
+        self._sets, self._used, self._round, self._step = ImageSets(*_NO_SETS), 0, 0, 0
         self._started_s, self._elapsed_s, self._saved_s = 0.0, 0.0, -np.inf
         if self.checkpoint_path.exists():
             self._resume(read_checkpoint(self.checkpoint_path, self._settings))
@@ -92,7 +93,7 @@ class Training:
     @property
     def checkpoint_path(self) -> Path:
         """Where the last good state is."""
-        return self._folder / CHECKPOINT_NAME
+        return self._folder / "checkpoint.pt"
 
     def __iter__(self) -> Generator[StepRecord, None, None]:
         """Yield what each step did, until no set can be formed or the budget is spent.
@@ -112,14 +113,12 @@ class Training:
         self._save()
 
     def _is_over(self) -> bool:
-        config = self._config
+        steps, minutes = self._config.steps, self._config.minutes
         self.end = None
         self._tick()
-        if config.max_steps is not None and self._step >= config.max_steps:
+        if steps is not None and self._step >= steps:
             self.end = End.STEPS
-        elif config.max_seconds is not None and self._workers.agree(
-            self._elapsed_s >= config.max_seconds
-        ):
+        elif minutes is not None and self._workers.agree(self._elapsed_s >= 60.0 * minutes):
             self.end = End.SECONDS
         elif self._used == len(self._sets) and not self._find_sets():
             self.end = End.LEARNED
@@ -129,7 +128,7 @@ class Training:
         """Start rounds until one has sets, at most so many as could visit every scene so often."""
         scenes = len(np.unique(self._images.scenes))
         visits = -(-scenes // (self._config.scenes_per_round or scenes))
-        for _ in range(EMPTY_ROUNDS * visits):
+        for _ in range(_EMPTY_ROUNDS * visits):
             self._build_sets()
             if len(self._sets):
                 return True
@@ -137,17 +136,17 @@ class Training:
 
     def _build_sets(self) -> None:
         """Start a round: one anchor of each place, among the images looked at this time."""
-        places = self._places
         rng = np.random.default_rng([self._config.seed, self._round])
         seen = self._draw_images(rng)
+        places = self._places[seen]
         try:
             features = self._learner.embed(seen, self._progress)
         except KeyboardInterrupt:  # may come from progress; all is still as after the last step
             self._save()
             raise
-        anchors = rng.permutation(sample_images(places[seen], 1, rng))
+        anchors = rng.permutation(sample_images(places, 1, rng))
         alike = self._images.alike(seen)
-        sets = build_image_sets(features, places[seen], rng, self._config.rules, anchors, alike)
+        sets = build_image_sets(features, places, rng, self._config.rules, anchors, alike)
         self._sets = ImageSets(seen[sets.positives], seen[sets.negatives])
         self._used, self._round = 0, self._round + 1
 
@@ -161,8 +160,7 @@ class Training:
             config.places_per_scene or len(places),
             rng,
         )
-        per_place = config.images_per_place or len(places)
-        return visited[sample_images(places[visited], per_place, rng)]
+        return visited[sample_images(places[visited], config.images_per_place, rng)]
 
     def _learn(self) -> StepRecord:
         before_s = self._elapsed_s
@@ -170,49 +168,47 @@ class Training:
         batch = ImageSets(self._sets.positives[chosen], self._sets.negatives[chosen])
         loss, active_share, is_finite = self._learner.work_out_gradients(batch, self._step)
         if not is_finite:
-            raise RecognizerError(
-                f"the training broke down at step {self._step + 1}: the loss is {loss:g} or a "
-                f"gradient is not finite; go on with a lower learning_rate from the last good "
-                f"checkpoint: {self.checkpoint_path}"
-            )
+            raise self._breakdown(f"the loss is {loss:g} or a gradient is not finite")
         self._tick()
         # Only now are the weights known to be good: what they led to is finite.
-        if self._elapsed_s - self._saved_s >= self._config.checkpoint_interval_s:
+        if self._elapsed_s - self._saved_s >= CHECKPOINT_INTERVAL_S:
             self._save()
         learning_rate = self._learner.update(self._step)
         if not self._learner.is_sound():
-            raise RecognizerError(
-                f"the training broke down at step {self._step + 1}: weights have grown beyond what "
-                f"a file holds; go on with a lower learning_rate from the last good checkpoint: "
-                f"{self.checkpoint_path}"
-            )
+            raise self._breakdown("weights have grown beyond what a file holds")
         self._step, self._used = self._step + 1, self._used + len(batch)
         self._tick()
         images = batch.positives.size + batch.negatives.size
+        sets_left = len(self._sets) - self._used
         record = StepRecord(
             step=self._step,
             round=self._round,
             loss=loss,
             active_share=active_share,
-            sets_left=len(self._sets) - self._used,
+            sets_left=sets_left,
             learning_rate=learning_rate,
             images_per_s=images / max(self._elapsed_s - before_s, 1e-9),
             elapsed_s=self._elapsed_s,
-            time_to_go_s=self._time_to_go_s(),
+            time_to_go_s=self._time_to_go_s(sets_left),
         )
         if self._log:
             self._log.add(record)
         return record
 
-    def _time_to_go_s(self) -> float:
+    def _breakdown(self, what: str) -> RecognizerError:
+        return RecognizerError(
+            f"the training broke down at step {self._step + 1}: {what}; go on with a lower "
+            f"learning_rate from the last good checkpoint: {self.checkpoint_path}"
+        )
+
+    def _time_to_go_s(self, sets_left: int) -> float:
         config, per_step_s = self._config, self._elapsed_s / self._step
         limits_s = []
-        if config.max_steps is not None:
-            limits_s.append((config.max_steps - self._step) * per_step_s)
-        if config.max_seconds is not None:
-            limits_s.append(config.max_seconds - self._elapsed_s)
-        left = len(self._sets) - self._used
-        return max(0.0, min(limits_s, default=left / config.batch_sets * per_step_s))
+        if config.steps is not None:
+            limits_s.append((config.steps - self._step) * per_step_s)
+        if config.minutes is not None:
+            limits_s.append(60.0 * config.minutes - self._elapsed_s)
+        return max(0.0, min(limits_s, default=sets_left / config.batch_sets * per_step_s))
 
     def _tick(self) -> None:
         self._elapsed_s = time.monotonic() - self._started_s

@@ -3,6 +3,11 @@
 
 Embeddings come as sets: `positives` (S, A, D), A images of one place, and `negatives` (S, B, D), B
 images of B other places, for S sets at once, unit length along D. Distances are squared Euclidean.
+A set's centre is the mean of its positives, not of unit length (eq. 3).
+
+`alpha` is the margin between positives and negatives; `beta`, the one between the positives' spread
+and the negatives' distance from each other. `partners` (S, B) int64 are, for each negative j,
+another one of its set, x_* (`draw_partners`).
 """
 
 import numpy as np
@@ -10,81 +15,43 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-ALPHA = 0.5
-BETA = 0.3
 
+def triplet_loss(positives: Tensor, negatives: Tensor, is_pair: Tensor, alpha: float) -> Tensor:
+    """Return the (S,) mean triplet loss over the triplets that each set holds (eq. 2).
 
-def centre(positives: Tensor) -> Tensor:
-    """Return the (S, D) centres of (S, A, D) positives: their mean, not of unit length (eq. 3)."""
-    return positives.mean(dim=1)
-
-
-def triplet_loss(
-    anchors: Tensor, positives: Tensor, negatives: Tensor, alpha: float = ALPHA
-) -> Tensor:
-    """Return the (...) loss of each triplet of (..., D) embeddings that broadcast (eq. 2)."""
-    near, far = _squared_distance(anchors, positives), _squared_distance(anchors, negatives)
-    return torch.relu(near + alpha - far)
-
-
-def triplet_set_loss(
-    positives: Tensor, negatives: Tensor, is_pair: Tensor, alpha: float = ALPHA
-) -> Tensor:
-    """Return the (S,) mean triplet loss over the triplets that each set holds.
-
-    Args:
-        positives: (S, A, D) embeddings.
-        negatives: (S, B, D) embeddings.
-        is_pair: (S, A, A) bool, whether two positives are different images: an image may stand in
-            a set twice, and is then no anchor of itself. A set without a pair has loss zero.
-        alpha: the margin.
+    `is_pair` (S, A, A) bool says whether two positives are different images: an image may stand in
+    a set twice, and is then no anchor of itself. A set without a pair has loss zero.
     """
-    losses = triplet_loss(
-        positives[:, :, None, None], positives[:, None, :, None], negatives[:, None, None], alpha
-    ).mean(dim=3)
+    anchors = positives[:, :, None, None]
+    near = _squared_distance(anchors, positives[:, None, :, None])
+    far = _squared_distance(anchors, negatives[:, None, None])
+    losses = torch.relu(near + alpha - far).mean(dim=3)
     count = is_pair.sum(dim=(1, 2)).clamp(min=1)
     return (losses * is_pair).sum(dim=(1, 2)) / count
 
 
 def multi_constraint_loss(
-    positives: Tensor,
-    negatives: Tensor,
-    partners: Tensor,
-    alpha: float = ALPHA,
-    beta: float = BETA,
+    positives: Tensor, negatives: Tensor, partners: Tensor, alpha: float, beta: float
 ) -> Tensor:
-    """Return the (S,) multi-constraint loss of each set, the mean over all i and j (eq. 6).
-
-    Args:
-        positives: (S, A, D) embeddings.
-        negatives: (S, B, D) embeddings.
-        partners: (S, B) int64, for each negative j another one of its set, x_* (`draw_partners`).
-        alpha: margin between positives and negatives, both as seen from the centre.
-        beta: margin between the positives' spread and the negatives' distance from each other.
-    """
-    middle = centre(positives)[:, None]
-    spread = _squared_distance(positives, middle)[:, :, None]
-    reach = _squared_distance(negatives, middle)[:, None]
+    """Return the (S,) multi-constraint loss of each set, the mean over all i and j (eq. 6)."""
+    centre = positives.mean(dim=1, keepdim=True)
+    spread = _squared_distance(positives, centre)[:, :, None]
+    reach = _squared_distance(negatives, centre)[:, None]
     apart = _squared_distance(negatives, _pick(negatives, partners))[:, None]
     constraints = torch.relu(spread + alpha - reach) + torch.relu(spread + beta - apart)
     return constraints.mean(dim=(1, 2))
 
 
 def simplified_multi_constraint_loss(
-    positives: Tensor,
-    negatives: Tensor,
-    partners: Tensor,
-    alpha: float = ALPHA,
-    beta: float = BETA,
+    positives: Tensor, negatives: Tensor, partners: Tensor, alpha: float, beta: float
 ) -> Tensor:
     """Return the (S,) loss of each set's farthest positive and nearest negative alone (eq. 7).
 
-    The arguments are those of `multi_constraint_loss`; of the partners, the nearest negative's
-    counts.
+    Of the partners, the nearest negative's counts.
     """
-    middle = centre(positives)[:, None]
-    farthest = _squared_distance(positives, middle).amax(dim=1)
-    reach = _squared_distance(negatives, middle)
+    centre = positives.mean(dim=1, keepdim=True)
+    farthest = _squared_distance(positives, centre).amax(dim=1)
+    reach = _squared_distance(negatives, centre)
     nearest = reach.argmin(dim=1, keepdim=True)
     nearest_negative = _pick(negatives, nearest)
     other_negative = _pick(negatives, partners.gather(1, nearest))

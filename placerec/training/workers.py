@@ -21,7 +21,10 @@ class Workers:
         """Join the processes that torchrun started, where it did; default device: a GPU."""
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
         self.rank = int(os.environ.get("RANK", "0"))
-        self.device = device or _own_device()
+        if device is None and torch.cuda.is_available():
+            device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+            torch.cuda.set_device(device)
+        self.device = device or torch.device("cpu")
         if self.count > 1 and not distributed.is_initialized():
             backend = "nccl" if self.device.type == "cuda" else "gloo"
             distributed.init_process_group(backend)
@@ -42,10 +45,9 @@ class Workers:
             return
         together = torch.cat([part.flatten() for part in parts])
         distributed.all_reduce(together)
-        start = 0
-        for part in parts:
-            part.copy_(together[start : start + part.numel()].view_as(part))
-            start += part.numel()
+        sums = torch.split(together, [part.numel() for part in parts])
+        for part, added in zip(parts, sums, strict=True):
+            part.copy_(added.view_as(part))
 
     def agree(self, is_time: bool) -> bool:
         """Return the first process's answer, in all of them."""
@@ -54,11 +56,3 @@ class Workers:
         answer = torch.tensor(float(is_time), device=self.device)
         distributed.broadcast(answer, src=0)
         return bool(answer.item())
-
-
-def _own_device() -> torch.device:
-    if not torch.cuda.is_available():
-        return torch.device("cpu")
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-    torch.cuda.set_device(device)
-    return device

@@ -1,29 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far an estimate is from the truth: ATE, RPE, and which loops were right."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placerec.datasets.tum_lists import nearest
 from slam.config import EvaluationConfig
 from slam.evaluation.trajectory import align, associate, path_length_m
 from slam.geometry import se3
-from slam.types import (
-    FloatArray,
-    Keyframe,
-    LoopAttempt,
-    SlamError,
-    Trajectory,
-)
+from slam.types import FloatArray, Keyframe, LoopAttempt, SlamError, Trajectory
 
-_MAX_TRUTH_GAP_S = 0.5
-"""Ground truth counts as interrupted where it has no pose for longer than this."""
-
-_MIN_MATCHED_POSES = 3
-"""Fewer positions than this do not fix an alignment in space."""
+_MAX_TRUTH_GAP_S = 0.5  # ground truth without a pose for longer than this counts as interrupted
+_MIN_MATCHED_POSES = 3  # fewer positions do not fix an alignment in space
 
 
 @dataclass(frozen=True)
@@ -61,11 +51,11 @@ class LoopTruth:
             is unknown or the loop was not accepted in the end.
     """
 
-    translation_error_m: float
-    rotation_error_deg: float
-    true_distance_m: float
-    true_angle_deg: float
-    is_false: bool | None
+    translation_error_m: float = np.nan
+    rotation_error_deg: float = np.nan
+    true_distance_m: float = np.nan
+    true_angle_deg: float = np.nan
+    is_false: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -99,15 +89,30 @@ def trajectory_error(
         SlamError: fewer than three poses match; the message tells the closest time gap.
     """
     tolerance_s = config.max_time_difference_s
+    if len(estimate) == 0 or len(truth) == 0:
+        raise SlamError(
+            "the estimate or the ground truth holds no poses; there is nothing to compare"
+        )
     in_estimate, in_truth = associate(estimate, truth, tolerance_s)
     if len(in_estimate) < _MIN_MATCHED_POSES:
-        raise SlamError(_too_few_matches(len(in_estimate), estimate, truth, tolerance_s))
+        closest = nearest(truth.timestamps_s, estimate.timestamps_s)
+        gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
+        raise SlamError(
+            f"only {len(in_estimate)} of {len(estimate)} poses have ground truth in time, "
+            f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
+            f"{tolerance_s:g} s; check that both use one clock, or raise "
+            "evaluation.max_time_difference_s"
+        )
     T_world_cam, T_truth_cam = estimate.T_world_cam[in_estimate], truth.T_world_cam[in_truth]
     T_truth_world = align(T_world_cam[:, :3, 3], T_truth_cam[:, :3, 3])
     aligned_m = se3.transform(T_truth_world, T_world_cam[:, :3, 3])
     position_errors_m = np.linalg.norm(aligned_m - T_truth_cam[:, :3, 3], axis=1)
     stamps_s = estimate.timestamps_s[in_estimate]
-    first, second = _interval_pairs(stamps_s, config.rpe_interval_s, tolerance_s)
+    interval_s = config.rpe_interval_s
+    first, second = np.arange(len(stamps_s)), nearest(stamps_s, stamps_s + interval_s)
+    is_pair = np.abs(stamps_s[second] - stamps_s - interval_s) <= tolerance_s
+    is_pair &= second > first
+    first, second = first[is_pair], second[is_pair]
     T_true = se3.inverse(T_truth_cam[first]) @ T_truth_cam[second]
     T_measured = se3.inverse(T_world_cam[first]) @ T_world_cam[second]
     error = se3.inverse(T_true) @ T_measured
@@ -165,12 +170,7 @@ def judge_loops(
         for keyframe, index, known in zip(keyframes, in_truth, is_known, strict=True)
         if known
     }
-    return tuple(
-        _judge(
-            attempt, T_truth_cam.get(attempt.match_id), T_truth_cam.get(attempt.query_id), config
-        )
-        for attempt in attempts
-    )
+    return tuple(_judge(attempt, T_truth_cam, config) for attempt in attempts)
 
 
 def coverage(
@@ -199,18 +199,15 @@ def _sessions(
 
 
 def _judge(
-    attempt: LoopAttempt,
-    T_truth_match: FloatArray | None,
-    T_truth_query: FloatArray | None,
-    config: EvaluationConfig,
+    attempt: LoopAttempt, T_truth_cam: Mapping[int, FloatArray], config: EvaluationConfig
 ) -> LoopTruth:
-    if T_truth_match is None or T_truth_query is None:
-        return LoopTruth(np.nan, np.nan, np.nan, np.nan, None)
-    T_match_query = se3.inverse(T_truth_match) @ T_truth_query
+    if not {attempt.match_id, attempt.query_id} <= T_truth_cam.keys():
+        return LoopTruth()
+    T_match_query = se3.inverse(T_truth_cam[attempt.match_id]) @ T_truth_cam[attempt.query_id]
     distance_m, angle_deg = _size(T_match_query)
     measured = attempt.motion
     if measured is None:
-        return LoopTruth(np.nan, np.nan, distance_m, angle_deg, None)
+        return LoopTruth(true_distance_m=distance_m, true_angle_deg=angle_deg)
     error_m, error_deg = _size(se3.inverse(T_match_query) @ measured.T_ref_query)
     is_off = error_m > config.false_loop_translation_m or error_deg > config.false_loop_rotation_deg
     is_false = is_off if attempt.rejection is None else None
@@ -223,28 +220,3 @@ def _size(T_a_b: FloatArray) -> tuple[float, float]:
 
 def _root_mean_square(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
-
-
-def _interval_pairs(
-    stamps_s: FloatArray, interval_s: float, tolerance_s: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    first = np.arange(len(stamps_s), dtype=np.int64)
-    second = nearest(stamps_s, stamps_s + interval_s)
-    is_near = np.abs(stamps_s[second] - stamps_s - interval_s) <= tolerance_s
-    is_pair = is_near & (second > first)
-    return first[is_pair], second[is_pair]
-
-
-def _too_few_matches(
-    count: int, estimate: Trajectory, truth: Trajectory, tolerance_s: float
-) -> str:
-    if len(estimate) == 0 or len(truth) == 0:
-        return "the estimate or the ground truth holds no poses; there is nothing to compare"
-    closest = nearest(truth.timestamps_s, estimate.timestamps_s)
-    gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
-    return (
-        f"only {count} of {len(estimate)} poses have ground truth in time, "
-        f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
-        f"{tolerance_s:g} s; check that both use one clock, or raise "
-        "evaluation.max_time_difference_s"
-    )

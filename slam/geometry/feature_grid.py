@@ -33,14 +33,10 @@ class FeatureGrid:
         descriptors: NDArray[np.uint8],
         max_distance: int,
     ) -> IntArray:
-        """Return (M, 2) int, pairs (point, feature) that are each other's best by Hamming.
+        """Return (M, 2) int, pairs (point, feature) that are each other's best by Hamming distance.
 
-        Args:
-            expected_px: (P, 2), where the points should be seen, undistorted pixels.
-            radius_px: (P,), how far from there they are looked for.
-            octaves: (P,), the pyramid level that they should be seen on, more or less.
-            descriptors: (P, 32) uint8.
-            max_distance: largest Hamming distance of a pair.
+        P points, with (P, 32) uint8 descriptors, are looked for within (P,) radii of (P, 2)
+        undistorted pixels, each on a pyramid level close to its (P,) octave.
         """
         point, feature = self._near(expected_px, radius_px)
         u, v = np.ascontiguousarray(expected_px.T)
@@ -51,7 +47,11 @@ class FeatureGrid:
         differing = self._words[feature] ^ _words(descriptors)[point]
         distance = np.bitwise_count(differing) @ np.ones(differing.shape[1], dtype=np.int64)
         is_alike = distance <= max_distance
-        return _mutual_best(point[is_alike], feature[is_alike], distance[is_alike])
+        point, feature, distance = point[is_alike], feature[is_alike], distance[is_alike]
+        order = np.lexsort((feature, point, distance))  # ties have one winner
+        point, feature = point[order], feature[order]
+        is_mutual = _is_first(point) & _is_first(feature)
+        return np.column_stack([point[is_mutual], feature[is_mutual]])
 
     def _near(self, expected_px: FloatArray, radius_px: FloatArray) -> tuple[IntArray, IntArray]:
         """Return all pairs (point, feature) whose cells touch the search window."""
@@ -80,13 +80,6 @@ def _ranges(lengths: IntArray) -> tuple[IntArray, IntArray]:
     owner = np.repeat(np.arange(len(lengths)), lengths)
     starts = np.cumsum(lengths) - lengths
     return owner, np.arange(len(owner)) - starts[owner]
-
-
-def _mutual_best(point: IntArray, feature: IntArray, distance: IntArray) -> IntArray:
-    order = np.lexsort((feature, point, distance))  # ties have one winner
-    point, feature = point[order], feature[order]
-    is_mutual = _is_first(point) & _is_first(feature)
-    return np.column_stack([point[is_mutual], feature[is_mutual]])
 
 
 def _is_first(values: IntArray) -> NDArray[np.bool_]:

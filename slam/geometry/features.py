@@ -16,13 +16,8 @@ from slam.types import Camera, Features, FloatArray, Frame
 def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Features:
     """Return the features where the camera saw them from its place at the middle row.
 
-    A row that is read out later was seen from where the camera had moved on to. What has no depth
-    is turned alone.
-
-    Args:
-        features: of one image.
-        camera: its readout_s is how long the rows took.
-        velocity: (6,) tangent per second of the camera in its own frame, rotation first.
+    A row that is read out later was seen from where the camera had moved on to, by its velocity:
+    (6,) tangent per second in its own frame, rotation first. What has no depth is turned alone.
     """
     time_s = camera.readout_s * ((features.pixels[:, 1] + 0.5) / camera.height - 0.5)
     has_depth = np.isfinite(features.depth_m)
@@ -50,11 +45,14 @@ class FeatureExtractor:
     def __init__(self, camera: Camera, config: FeaturesConfig) -> None:
         self._camera = camera
         self._config = config
+        # On a smaller level no feature fits, and OpenCV fails where it has no pixel at all.
+        patches = min(camera.width, camera.height) / (2 * _BORDER_PX + 1)
+        most_levels = 1 + int(np.log(max(patches, 1.0)) / np.log(PYRAMID_SCALE))
         # More corners than wanted, so that the spreading below has something to choose from.
         self._orb = cv2.ORB.create(
             nfeatures=2 * config.count,
             scaleFactor=PYRAMID_SCALE,
-            nlevels=min(config.levels, _most_levels(camera)),
+            nlevels=min(config.levels, most_levels),
             edgeThreshold=_BORDER_PX,
             fastThreshold=config.fast_threshold,
         )
@@ -66,10 +64,13 @@ class FeatureExtractor:
         keypoints = [keypoints[i] for i in _spread(keypoints, self._config.count)]
         keypoints, descriptors = self._orb.compute(grey, keypoints)
         if descriptors is None:
-            return _no_features()
+            keypoints, descriptors = [], np.zeros((0, 32))
         pixels = _pixels(keypoints)
         undistorted_px = undistort(pixels, self._camera)
-        depth_m = _depth_at(pixels, frame.depth_m, self._config.max_depth_m)
+        u, v = np.rint(pixels).astype(np.int64).T
+        depth_m = frame.depth_m[v, u].astype(np.float64)
+        is_usable = (depth_m > 0.0) & (depth_m <= self._config.max_depth_m)
+        depth_m = np.where(is_usable, depth_m, np.nan)
         return Features(
             pixels=pixels,
             undistorted_px=undistorted_px,
@@ -78,12 +79,6 @@ class FeatureExtractor:
             depth_m=depth_m,
             points_m=back_project(undistorted_px, depth_m, self._camera),
         )
-
-
-def _most_levels(camera: Camera) -> int:
-    # On a smaller level no feature fits, and OpenCV fails where it has no pixel at all.
-    patches = min(camera.width, camera.height) / (2 * _BORDER_PX + 1)
-    return 1 + int(np.log(max(patches, 1.0)) / np.log(PYRAMID_SCALE))
 
 
 def match(a: Features, b: Features, max_distance: int) -> NDArray[np.int64]:
@@ -116,12 +111,6 @@ def _pixels(keypoints: Any) -> FloatArray:
     return np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64).reshape(-1, 2)
 
 
-def _depth_at(pixels: FloatArray, depth_image_m: NDArray[np.float32], max_m: float) -> FloatArray:
-    u, v = np.rint(pixels).astype(np.int64).T
-    depth_m = depth_image_m[v, u].astype(np.float64)
-    return np.where((depth_m > 0.0) & (depth_m <= max_m), depth_m, np.nan)
-
-
 def _spread(keypoints: Any, count: int) -> NDArray[np.int64]:
     # The strongest corners crowd on a few objects, and a pose is only as good as its support is
     # wide: every cell of a grid offers its best first, then its second best, and so on.
@@ -137,14 +126,3 @@ def _spread(keypoints: Any, count: int) -> NDArray[np.int64]:
     rank_in_cell = np.empty(len(cells), dtype=np.int64)
     rank_in_cell[by_cell] = np.arange(len(cells)) - first_of_cell
     return np.lexsort((-strength, rank_in_cell))[:count]
-
-
-def _no_features() -> Features:
-    return Features(
-        pixels=np.zeros((0, 2)),
-        undistorted_px=np.zeros((0, 2)),
-        octaves=np.zeros(0, dtype=np.int64),
-        descriptors=np.zeros((0, 32), dtype=np.uint8),
-        depth_m=np.zeros(0),
-        points_m=np.zeros((0, 3)),
-    )

@@ -61,12 +61,8 @@ def refine_pose(
     """
     inlier_mask = np.ones(len(points_m), dtype=bool)
     for _ in range(_ROUNDS):
-        equations = partial(
-            _pose_equations,
-            points_m=points_m[inlier_mask],
-            measured=measured.select(inlier_mask),
-            camera=camera,
-        )
+        seen = measured.select(inlier_mask)
+        equations = partial(_pose_equations, points_m[inlier_mask], seen, camera)
         T_world_cam, hessian = _gauss_newton(T_world_cam, equations, *_POSE_STEPS)
         points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
         inlier_mask = measured.agree(points_cam_m, camera)
@@ -74,16 +70,15 @@ def refine_pose(
 
 
 def _pose_equations(
-    T_world_cam: FloatArray, points_m: FloatArray, measured: Measurements, camera: Camera
+    points_m: FloatArray, measured: Measurements, camera: Camera, T_world_cam: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
     residuals, by_point = measured.residuals(points_cam_m, camera)
     # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
-    J = np.concatenate([by_point @ se3.skews(points_cam_m), -by_point], axis=2).reshape(-1, 6)
-    weighted_J = robust_weights(residuals).reshape(-1, 1) * J
+    J = np.concatenate([by_point @ se3.skew(points_cam_m), -by_point], axis=2)
+    hessian, gradient = _weighted(residuals, J)
     # A trace of curvature keeps the step finite where few points leave a direction open.
-    hessian = weighted_J.T @ J + 1e-6 * np.eye(6)
-    return hessian, weighted_J.T @ residuals.ravel()
+    return hessian + 1e-6 * np.eye(6), gradient
 
 
 @dataclass(frozen=True)
@@ -93,27 +88,8 @@ class _View:
     points_other_m: FloatArray  # (M, 3), NaN where the other camera has no depth
     measured: Measurements
 
-    @staticmethod
-    def of(
-        other: Features,
-        other_index: NDArray[np.int64],
-        this: Features,
-        this_index: NDArray[np.int64],
-        camera: Camera,
-    ) -> "_View":
-        measured = Measurements.of(this, this_index, camera)
-        return _View(other.points_m[other_index], measured)
-
     def select(self, mask: NDArray[np.bool_]) -> "_View":
         return _View(self.points_other_m[mask], self.measured.select(mask))
-
-    def residuals(
-        self, T_this_other: FloatArray, camera: Camera
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return whitened residuals (M, 3), their derivative (M, 3, 3) by the point, the points."""
-        points_m = se3.transform(T_this_other, self.points_other_m)
-        residuals, derivative = self.measured.residuals(points_m, camera)
-        return residuals, derivative, points_m
 
 
 @dataclass(frozen=True)
@@ -130,8 +106,8 @@ class Correspondences:
         """Collect the measurements of (M, 2) index pairs (reference, query)."""
         i, j = pairs.T
         return Correspondences(
-            query_view=_View.of(reference, i, query, j, camera),
-            reference_view=_View.of(query, j, reference, i, camera),
+            query_view=_View(reference.points_m[i], Measurements.of(query, j, camera)),
+            reference_view=_View(query.points_m[j], Measurements.of(reference, i, camera)),
         )
 
     def select(self, mask: NDArray[np.bool_]) -> "Correspondences":
@@ -146,7 +122,7 @@ def refine(
 
     The Hessian belongs to a tangent [rotation; translation] applied on the right of T_ref_query.
     """
-    equations = partial(_motion_equations, correspondences=correspondences, camera=camera)
+    equations = partial(_motion_equations, correspondences, camera)
     T_ref_query, _ = _gauss_newton(T_ref_query, equations, *_MOTION_STEPS)
     return T_ref_query, equations(T_ref_query)[0]
 
@@ -154,30 +130,29 @@ def refine(
 def residual_lengths(
     T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
 ) -> FloatArray:
-    """Return (M,) lengths of the whitened pixel residuals in the query's image.
-
-    On the finest pyramid level one standard deviation is one pixel.
-    """
-    T_query_ref = se3.inverse(T_ref_query)
-    residuals, _, points_m = correspondences.query_view.residuals(T_query_ref, camera)
+    """Return (M,) lengths of the pixel residuals in the query's image, in standard deviations."""
+    view = correspondences.query_view
+    points_m = se3.transform(se3.inverse(T_ref_query), view.points_other_m)
+    residuals, _ = view.measured.residuals(points_m, camera)
     return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals[:, :2], axis=1), np.inf)
 
 
 def _motion_equations(
-    T_ref_query: FloatArray, correspondences: Correspondences, camera: Camera
+    correspondences: Correspondences, camera: Camera, T_ref_query: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     R_ref_query = T_ref_query[:3, :3]
-    T_query_ref = se3.inverse(T_ref_query)
     query, reference = correspondences.query_view, correspondences.reference_view
 
     # p_query = exp(-xi) T_query_ref p_ref, so d p_query = p_query x omega - v
-    residuals, by_point, points_m = query.residuals(T_query_ref, camera)
-    J = _chain(by_point, se3.skews(points_m), -np.eye(3))
+    points_m = se3.transform(se3.inverse(T_ref_query), query.points_other_m)
+    residuals, by_point = query.measured.residuals(points_m, camera)
+    J = _chain(by_point, se3.skew(points_m), -np.eye(3))
     hessian, gradient = _weighted(residuals, J)
 
     # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
-    residuals, by_point, _ = reference.residuals(T_ref_query, camera)
-    J = _chain(by_point, -R_ref_query @ se3.skews(reference.points_other_m), R_ref_query)
+    points_m = se3.transform(T_ref_query, reference.points_other_m)
+    residuals, by_point = reference.measured.residuals(points_m, camera)
+    J = _chain(by_point, -R_ref_query @ se3.skew(reference.points_other_m), R_ref_query)
     more_hessian, more_gradient = _weighted(residuals, J)
     # A trace of curvature keeps the step finite where few matches leave a direction open.
     return hessian + more_hessian + 1e-6 * np.eye(6), gradient + more_gradient

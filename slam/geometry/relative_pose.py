@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One estimator of the rigid motion between two views, for odometry and for loops alike."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -54,51 +54,39 @@ def measure_relative_pose(
 ) -> Verification:
     """Return the same from (M, 2) index pairs of features that are already matched."""
     pairs = pairs[np.isfinite(reference.depth_m[pairs[:, 0]])]
-    estimate = _estimate(reference, query, pairs, camera, config)
-    inlier_mask = np.zeros(len(pairs), dtype=bool)
-    if not isinstance(estimate, Rejection):
-        inlier_mask = estimate.inlier_mask
-    return Verification(
-        outcome=_judge(estimate, reference.pixels[pairs[:, 0]], camera, config),
-        pixels=np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]]),
-        inlier_mask=inlier_mask,
-    )
+    outcome, inlier_mask = _outcome(reference, query, pairs, camera, config)
+    pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
+    return Verification(outcome, pixels, inlier_mask)
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """A motion and the matches that agree; the Hessian is zero where too few do to refine it."""
-
-    T_ref_query: FloatArray
-    hessian: FloatArray
-    inlier_mask: NDArray[np.bool_]
-
-
-def _estimate(
+def _outcome(
     reference: Features,
     query: Features,
     pairs: NDArray[np.int64],
     camera: Camera,
     config: VerificationConfig,
-) -> _Estimate | Rejection:
+) -> tuple[RelativePose | Rejection, NDArray[np.bool_]]:
+    """Return the motion or why there is none, and the (M,) mask of the pairs that agree."""
+    nobody = np.zeros(len(pairs), dtype=bool)
     needed = max(config.min_matches, _MIN_FOR_POSE)
     if len(pairs) < needed:
-        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed)
+        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed), nobody
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
     found = pose_by_ransac(points_m, pixels, camera, config)
     if found is None:
-        return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers)
+        return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers), nobody
     T_ref_query, inlier_mask = found
-    hessian = np.zeros((6, 6))
     correspondences = Correspondences.of(reference, query, pairs, camera)
     if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
         # RANSAC's pose comes from four matches; a refined one knows better which others agree.
         T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
         lengths = residual_lengths(T_ref_query, correspondences, camera)
         inlier_mask = lengths < config.max_reprojection_px
-    if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
-        T_ref_query, hessian = refine(T_ref_query, correspondences.select(inlier_mask), camera)
-    return _Estimate(T_ref_query, hessian, inlier_mask)
+    rejection = _rejection(reference.pixels[pairs[:, 0]], inlier_mask, camera, config)
+    if rejection:
+        return rejection, inlier_mask
+    refined = refine(T_ref_query, correspondences.select(inlier_mask), camera)
+    return with_floor(*refined), inlier_mask
 
 
 def pose_by_ransac(
@@ -125,29 +113,26 @@ def pose_by_ransac(
     return se3.inverse(se3.from_rotation_translation(R_query_ref, t_query_ref)), inlier_mask
 
 
-def _judge(
-    estimate: _Estimate | Rejection, pixels: FloatArray, camera: Camera, config: VerificationConfig
-) -> RelativePose | Rejection:
-    if isinstance(estimate, Rejection):
-        return estimate
-    inliers = int(np.count_nonzero(estimate.inlier_mask))
+def _rejection(
+    pixels: FloatArray, inlier_mask: NDArray[np.bool_], camera: Camera, config: VerificationConfig
+) -> Rejection | None:
+    inliers = int(np.count_nonzero(inlier_mask))
     needed = max(config.min_inliers, _MIN_FOR_POSE)
     if inliers < needed:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, needed)
     ratio = inliers / len(pixels)
     if ratio < config.min_inlier_ratio:
         return Rejection(RejectionReason.LOW_INLIER_RATIO, ratio, config.min_inlier_ratio)
-    extent = np.ptp(pixels[estimate.inlier_mask], axis=0)
+    extent = np.ptp(pixels[inlier_mask], axis=0)
     support = float(extent[0] * extent[1]) / (camera.width * camera.height)
     if support < config.min_support:
         return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
-    return with_floor(estimate.T_ref_query, estimate.hessian)
+    return None
 
 
 def with_floor(T_ref_query: FloatArray, hessian: FloatArray) -> RelativePose:
     """Return the motion with a (6, 6) Hessian for information, less what repeats differ by."""
-    information = _add_noise(hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M)
-    return RelativePose(T_ref_query, information)
+    return RelativePose(T_ref_query, _add_noise(hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M))
 
 
 def allow_for_turning(motion: RelativePose, *turning_rad_s: float) -> RelativePose:

@@ -59,17 +59,13 @@ class Measurements:
     @staticmethod
     def joined(parts: Sequence["Measurements"]) -> "Measurements":
         """Return all of them as one."""
-        return Measurements(
-            np.concatenate([part.seen for part in parts]),
-            np.concatenate([part.sigma for part in parts]),
-        )
+        seen = np.concatenate([part.seen for part in parts])
+        return Measurements(seen, np.concatenate([part.sigma for part in parts]))
 
     def residuals(self, points_cam_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
         """Return whitened residuals (M, 3), 0 where unknown, and their (M, 3, 3) derivatives.
 
-        Args:
-            points_cam_m: (M, 3), where the points should be, metres, camera frame.
-            camera: the camera that measured.
+        The (M, 3) points, metres, camera frame, are where what was seen should be.
         """
         expected, derivative = project(points_cam_m, camera)
         residuals = (expected - self.seen) / self.sigma
@@ -84,8 +80,7 @@ class Measurements:
         Depth has no say in it: where it is wrong, the pixel may still be right.
         """
         residuals, _ = self.residuals(points_cam_m, camera)
-        fits = _pixel_lengths(residuals) < _LIMIT
-        return np.asarray(fits & (points_cam_m[:, 2] > 0.0))
+        return np.asarray((_pixel_lengths(residuals) < _LIMIT) & (points_cam_m[:, 2] > 0.0))
 
 
 def robust_costs(residuals: FloatArray) -> FloatArray:
@@ -100,7 +95,7 @@ def robust_weights(residuals: FloatArray) -> FloatArray:
     """Return the weights (M, 3), 0 to 1, that make the squares of residuals grow as their costs."""
     weights = np.empty_like(residuals)
     pixel_weights = np.minimum(1.0, _HUBER / np.maximum(_pixel_lengths(residuals), 1e-12))
-    weights[:, 0], weights[:, 1] = pixel_weights, pixel_weights
+    weights[:, :2] = pixel_weights[:, None]
     weights[:, 2] = 1.0 / (1.0 + (residuals[:, 2] / _CAUCHY) ** 2)
     return weights
 
@@ -111,10 +106,9 @@ def _pixel_lengths(residuals: FloatArray) -> FloatArray:
 
 
 def project(points_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Return what the camera should measure of (M, 3) points in its frame, and the derivatives.
+    """Return what the camera should measure of (M, 3) points in its frame, metres.
 
-    Returns:
-        (M, 3) u px, v px, disparity px, and (M, 3, 3) its derivative by the point, px per metre.
+    That is (M, 3) u, v and disparity, pixels, and (M, 3, 3) its derivative by the point, px/m.
     """
     inverse_z = 1.0 / points_m[:, 2]
     x, y = points_m[:, 0] * inverse_z, points_m[:, 1] * inverse_z

@@ -7,14 +7,13 @@ neighbouring letters cancel: `T_world_cam = T_world_odom @ T_odom_cam`. Tangent 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from slam.types import FloatArray
 
 _SMALL_ANGLE_RAD = 1e-8
 
 
-def from_rotation_translation(rotation: Array, translation_m: Array) -> Array:
+def from_rotation_translation(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
     """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation in metres."""
     T_a_b = np.eye(4)
     T_a_b[:3, :3] = rotation
@@ -22,7 +21,7 @@ def from_rotation_translation(rotation: Array, translation_m: Array) -> Array:
     return T_a_b
 
 
-def inverse(T_a_b: Array) -> Array:
+def inverse(T_a_b: FloatArray) -> FloatArray:
     """Return T_b_a of one (4, 4) transform or of a stack (N, 4, 4)."""
     T_b_a = np.zeros_like(T_a_b)
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
@@ -32,26 +31,21 @@ def inverse(T_a_b: Array) -> Array:
     return T_b_a
 
 
-def transform(T_a_b: Array, points_b: Array) -> Array:
+def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     """Return (N, 3) points, metres, in frame a, given them in frame b."""
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
-def skew(v: Array) -> Array:
-    """Return the (3, 3) matrix of the cross product with a (3,) vector."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+def skew(v: FloatArray) -> FloatArray:
+    """Return the (3, 3) matrix of the cross product with a (3,) vector, (N, 3, 3) of (N, 3)."""
+    x, y, z = v.T
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
 
 
-def skews(vectors: Array) -> Array:
-    """Return (N, 3, 3), the matrices of the cross products with (N, 3) vectors."""
-    x, y, z = vectors.T
-    matrices = np.zeros((len(vectors), 3, 3))
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices
-
-
-def exp(tangent: Array) -> Array:
+def exp(tangent: FloatArray) -> FloatArray:
     """Return the (4, 4) transform of a (6,) tangent [rotation rad; translation m]."""
     omega, v = tangent[:3], tangent[3:]
     angle = float(np.linalg.norm(omega))
@@ -65,9 +59,14 @@ def exp(tangent: Array) -> Array:
     return from_rotation_translation(rotation, (np.eye(3) + b * W + c * W @ W) @ v)
 
 
-def log(T_a_b: Array) -> Array:
+def log(T_a_b: FloatArray) -> FloatArray:
     """Return the (6,) tangent [rotation rad; translation m] of a (4, 4) transform."""
-    omega = _rotation_log(T_a_b[:3, :3])
+    # Through the quaternion: stays accurate near 180 degrees, where the trace formula does not.
+    x, y, z, w = to_quaternion(T_a_b[:3, :3])
+    vector = np.array([x, y, z])
+    length = float(np.linalg.norm(vector))
+    is_small = length < _SMALL_ANGLE_RAD
+    omega = 2.0 * vector / w if is_small else 2.0 * np.arctan2(length, w) / length * vector
     angle = float(np.linalg.norm(omega))
     W = skew(omega)
     if angle < _SMALL_ANGLE_RAD:
@@ -77,17 +76,7 @@ def log(T_a_b: Array) -> Array:
     return np.concatenate([omega, V_inverse @ T_a_b[:3, 3]])
 
 
-def _rotation_log(rotation: Array) -> Array:
-    # Through the quaternion: stays accurate near 180 degrees, where the trace formula does not.
-    x, y, z, w = to_quaternion(rotation)
-    vector = np.array([x, y, z])
-    length = float(np.linalg.norm(vector))
-    if length < _SMALL_ANGLE_RAD:
-        return np.asarray(2.0 * vector / w, dtype=np.float64)
-    return np.asarray(2.0 * np.arctan2(length, w) / length * vector, dtype=np.float64)
-
-
-def rotation_angle(T_a_b: Array) -> Array:
+def rotation_angle(T_a_b: FloatArray) -> FloatArray:
     """Return the rotation angle, rad, in [0, pi], of one transform or of a stack (N, 4, 4)."""
     R = T_a_b[..., :3, :3]
     sine = 0.5 * np.sqrt(
@@ -98,12 +87,12 @@ def rotation_angle(T_a_b: Array) -> Array:
     return np.asarray(np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)))
 
 
-def translation_norm(T_a_b: Array) -> Array:
+def translation_norm(T_a_b: FloatArray) -> FloatArray:
     """Return the length of the translation, metres, of one transform or of a stack (N, 4, 4)."""
     return np.asarray(np.linalg.norm(T_a_b[..., :3, 3], axis=-1))
 
 
-def to_quaternion(rotation: Array) -> Array:
+def to_quaternion(rotation: FloatArray) -> FloatArray:
     """Return the (4,) unit quaternion x y z w, w >= 0, of a (3, 3) rotation."""
     # Shepperd's method: the eigenvector of the largest eigenvalue of K is the quaternion.
     R = rotation
@@ -119,7 +108,7 @@ def to_quaternion(rotation: Array) -> Array:
     return quaternion if quaternion[3] >= 0.0 else -quaternion
 
 
-def from_quaternion(quaternion_xyzw: Array) -> Array:
+def from_quaternion(quaternion_xyzw: FloatArray) -> FloatArray:
     """Return the (..., 3, 3) rotations of (..., 4) quaternions x y z w of any non-zero length."""
     q = quaternion_xyzw / np.linalg.norm(quaternion_xyzw, axis=-1, keepdims=True)
     x, y, z, w = np.moveaxis(q, -1, 0)

@@ -42,7 +42,7 @@ class Atlas:
 
     def __init__(self, config: GraphConfig) -> None:
         self._config = config
-        self._graphs: dict[int, PoseGraph] = {}  # by segment
+        self._graphs = defaultdict[int, PoseGraph](lambda: PoseGraph(config))  # by segment
         self._keyframes: list[Keyframe] = []
         self._links: list[Link] = []
         self._loops: dict[int, Link] = {}
@@ -51,8 +51,6 @@ class Atlas:
         self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]
     ) -> None:
         """Add the next keyframe, its motions to others of its segment, and its loops by key."""
-        if keyframe.segment not in self._graphs:
-            self._graphs[keyframe.segment] = PoseGraph(self._config)
         graph = self._graphs[keyframe.segment]
         T_world_kf = np.eye(4)
         if links:
@@ -69,22 +67,17 @@ class Atlas:
                 if self._keyframes[loop.ref_id].segment == keyframe.segment:
                     graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
 
-    def finish(self, frames: Mapping[int, int]) -> AtlasSolution:
-        """Solve the submap with the most frames, the earlier of equals; frames are per keyframe."""
+    def finish(self, frames: Mapping[int, int] | None = None) -> AtlasSolution:
+        """Solve the submap with the most frames per keyframe id, the earlier of equals."""
         submaps = self._submaps()
-        largest = _largest(submaps, frames)
+        largest = max(submaps, key=lambda submap: submap.size(frames))
         solution = self._graph(largest).finish()
         T_world_kf = np.full((len(self._keyframes), 4, 4), np.nan)
         T_world_kf[list(largest.T_submap_kf)] = solution.T_world_kf
-        return AtlasSolution(
-            T_world_kf,
-            solution.weights,
-            tuple(largest.links),
-            self._unjoined(submaps, largest),
-            solution.warnings,
-        )
+        links, unjoined = tuple(largest.links), self._unjoined(submaps, largest)
+        return AtlasSolution(T_world_kf, solution.weights, links, unjoined, solution.warnings)
 
-    def T_world_odom(self, frames: Mapping[int, int]) -> FloatArray:
+    def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
         """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
 
         Raises:
@@ -92,7 +85,8 @@ class Atlas:
         """
         if not self._keyframes:
             raise SlamError("there is no keyframe yet that a correction could be known of")
-        largest, newest = _largest(self._submaps(), frames), self._keyframes[-1]
+        newest = self._keyframes[-1]
+        largest = max(self._submaps(), key=lambda submap: submap.size(frames))
         if newest.id not in largest.T_submap_kf:
             raise SlamError(
                 "the camera was lost or began a new session, and so far no two loops agree where"
@@ -164,7 +158,3 @@ def in_one_odometry_frame(
         else each
         for each in keyframes
     )
-
-
-def _largest(submaps: Sequence[Submap], frames: Mapping[int, int]) -> Submap:
-    return max(submaps, key=lambda submap: submap.size(frames))

@@ -15,7 +15,6 @@ from slam.config import Config
 from slam.loops.atlas import Atlas
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.submaps import NEEDED_LOOPS
-from slam.result import Calibration
 from slam.stage_clock import StageClock
 from slam.types import (
     MIN_TRUSTED_WEIGHT,
@@ -57,12 +56,13 @@ class BackEnd:
 
     Attributes:
         keyframes: those that were taken in completely.
+        loop_closer: what finds their loops; to be asked once the queue is empty.
     """
 
     def __init__(
         self, camera: Camera, recognizer: PlaceRecognizer, config: Config, clock: StageClock
     ) -> None:
-        self._loop_closer = LoopCloser(camera, recognizer, config.loop, config.verification)
+        self.loop_closer = LoopCloser(camera, recognizer, config.loop, config.verification)
         self._atlas = Atlas(config.graph)
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
@@ -70,11 +70,6 @@ class BackEnd:
         self._failure: RecognizerError | None = None  # nothing after it is taken in
         self._attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
-
-    @property
-    def min_similarity(self) -> float:
-        """The similarity from which candidates are verified."""
-        return self._loop_closer.min_similarity
 
     @property
     def is_empty(self) -> bool:
@@ -106,8 +101,7 @@ class BackEnd:
     def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
         """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
 
-        Args:
-            frames: as for `solve`.
+        Frames are counted as for `solve`.
 
         Raises:
             SlamError: there is no keyframe yet, or its submap is not joined to the rest.
@@ -115,21 +109,19 @@ class BackEnd:
         """
         self.settle()
         with self._clock.stage("graph"):
-            return self._atlas.T_world_odom(self._counted(frames))
+            return self._atlas.T_world_odom(frames)
 
     def solve(self, frames: Mapping[int, int] | None = None) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
 
-        Args:
-            frames: how many there are of each keyframe id, to tell which submap is the largest;
-                default: one of each.
+        The largest submap is that with the most frames per keyframe id; default: one of each.
 
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
         with self._clock.stage("graph"):
-            solution = self._atlas.finish(self._counted(frames))
+            solution = self._atlas.finish(frames)
         attempts = tuple(
             _in_the_end(attempt, solution.weights.get(key), solution.unjoined.get(key))
             for key, attempt in enumerate(self._attempts)
@@ -138,11 +130,7 @@ class BackEnd:
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes are, -1 to 1."""
-        return self._loop_closer.similarities()
-
-    def calibration(self) -> Calibration | None:
-        """Return what the recognizer was calibrated on beside what it met, where it says so."""
-        return self._loop_closer.calibration()
+        return self.loop_closer.similarities()
 
     def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:
@@ -151,28 +139,20 @@ class BackEnd:
             self._queue.clear()  # they end the same way, which nobody has to hear twice
             raise
 
-    def _counted(self, frames: Mapping[int, int] | None) -> Mapping[int, int]:
-        return dict.fromkeys(range(len(self.keyframes)), 1) if frames is None else frames
-
     def _take(
         self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
     ) -> tuple[LoopAttempt, ...]:
         if self._failure:
             raise self._failure
         try:
-            return self._take_in(keyframe, links, rgb)
+            with self._clock.stage("describe"):
+                embedding = self.loop_closer.describe(rgb)
+            with self._clock.stage("close loops"):
+                linked_ids = [link.ref_id for link in links]
+                attempts = self.loop_closer.close(keyframe, embedding, linked_ids)
         except RecognizerError as failure:
             self._failure = failure
             raise
-
-    def _take_in(
-        self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
-    ) -> tuple[LoopAttempt, ...]:
-        with self._clock.stage("describe"):
-            embedding = self._loop_closer.describe(rgb)
-        with self._clock.stage("close loops"):
-            linked_ids = [link.ref_id for link in links]
-            attempts = self._loop_closer.close(keyframe, embedding, linked_ids)
         with self._clock.stage("graph"):
             self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
         self.keyframes.append(keyframe)
@@ -183,10 +163,8 @@ class BackEnd:
 def _in_the_end(attempt: LoopAttempt, weight: float | None, agreeing: int | None) -> LoopAttempt:
     """Return what the graph makes of a loop: in use, outvoted or not joined to the largest submap.
 
-    Args:
-        attempt: as geometry left it.
-        weight: the graph's trust in it, None where the graph was not given it.
-        agreeing: how many loops agree where its submap lies, None where it is in the largest.
+    The weight is None where the graph was not given the loop; `agreeing` loops say where its submap
+    lies, None where that is the largest.
     """
     if agreeing is not None:
         return replace(attempt, outcome=Rejection(RejectionReason.UNJOINED, agreeing, NEEDED_LOOPS))

@@ -54,31 +54,28 @@ class LoopCloser:
     ) -> tuple[LoopAttempt, ...]:
         """Remember a keyframe and return what became of every earlier one that resembles it.
 
-        Args:
-            keyframe: the new one.
-            embedding: as `describe` returned it.
-            linked_ids: keyframes whose motion to it is known already: however long ago they were
-                seen, a camera that stood still closes no loop.
-
-        Of another segment every keyframe is a candidate, for nothing else tells where that lies.
+        The motions from keyframes with linked_ids are known already: however long ago they were
+        seen, a camera that stood still closes no loop. Of another segment every keyframe is a
+        candidate, for nothing else tells where that lies.
 
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        is_candidate = self._candidates(keyframe, linked_ids)
+        latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
+        old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
+        is_other = np.array([each.segment != keyframe.segment for each in self._keyframes], bool)
+        is_candidate = is_other | (np.arange(len(is_other)) < min([old_enough, *linked_ids]))
         ids, similarities = self._most_similar(embedding, is_candidate)
-        attempts = [
+        # The best of those that are not similar enough answers "why was there no loop?".
+        count = max(1, int(np.count_nonzero(similarities >= self.min_similarity)))
+        attempts = tuple(
             self._attempt(keyframe, self._keyframes[match_id], float(similarity))
-            for match_id, similarity in zip(ids, similarities, strict=True)
-            if similarity >= self.min_similarity
-        ]
-        if not attempts and len(ids):
-            # The best of those that were not similar enough answers "why was there no loop?".
-            attempts = [self._attempt(keyframe, self._keyframes[ids[0]], float(similarities[0]))]
+            for match_id, similarity in zip(ids[:count], similarities[:count], strict=True)
+        )
         self._keyframes.append(keyframe)
         self._looked_at.append(is_candidate)
         self._index.add(embedding)
-        return tuple(attempts)
+        return attempts
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes so far are, -1 to 1."""
@@ -92,13 +89,6 @@ class LoopCloser:
         pairs = [row[: len(looked_at)][looked_at] for row, looked_at in rows]
         live = np.concatenate([np.empty(0, np.float32), *pairs])
         return Calibration(self._certificate, live)
-
-    def _candidates(self, keyframe: Keyframe, linked_ids: Sequence[int]) -> NDArray[np.bool_]:
-        latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
-        old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
-        limit = min([old_enough, *linked_ids])
-        is_other = [each.segment != keyframe.segment for each in self._keyframes]
-        return np.array(is_other, dtype=bool) | (np.arange(len(is_other)) < limit)
 
     def _most_similar(
         self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_]
@@ -117,16 +107,9 @@ class LoopCloser:
         verification = estimate_relative_pose(
             match.features, query.features, self._camera, self._verification_config
         )
-        outcome = self._judge(verification.outcome, match, query)
+        outcome, limit_m = verification.outcome, self._verification_config.max_uncertainty_m
+        if isinstance(outcome, RelativePose):
+            outcome = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
+            if (sigma_m := translation_sigma_m(outcome)) > limit_m:
+                outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
         return LoopAttempt(query.id, match.id, similarity, verification, outcome)
-
-    def _judge(
-        self, outcome: RelativePose | Rejection, match: Keyframe, query: Keyframe
-    ) -> RelativePose | Rejection:
-        if isinstance(outcome, Rejection):
-            return outcome
-        motion = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
-        sigma_m, limit_m = translation_sigma_m(motion), self._verification_config.max_uncertainty_m
-        if sigma_m > limit_m:
-            return Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
-        return motion

@@ -38,9 +38,9 @@ class Submap:
         """The keyframe that came first."""
         return next(iter(self.T_submap_kf))
 
-    def size(self, frames: Mapping[int, int]) -> int:
-        """Return how many frames it has, given how many there are per keyframe id."""
-        return sum(frames.get(k, 0) for k in self.T_submap_kf)
+    def size(self, frames: Mapping[int, int] | None) -> int:
+        """Return how many frames it has, given how many there are per keyframe id; default: one."""
+        return sum(1 if frames is None else frames.get(k, 0) for k in self.T_submap_kf)
 
     def places(self, keyframe_ids: Iterable[int]) -> FloatArray:
         """Return (N, 4, 4), where keyframes are in it."""
@@ -70,7 +70,7 @@ def joined(submaps: Sequence[Submap], loops: Iterable[Link]) -> list[Submap]:
 
 
 def _between(submaps: Sequence[Submap], loops: Iterable[Link]) -> dict[tuple[int, int], list[Link]]:
-    """Return the loops between any two submaps, all seen from the earlier."""
+    """Return the loops between any two submaps, all from the earlier, for their motions alone."""
     number_of = submap_of(submaps)
     between: dict[tuple[int, int], list[Link]] = defaultdict(list)
     for loop in loops:
@@ -78,7 +78,8 @@ def _between(submaps: Sequence[Submap], loops: Iterable[Link]) -> dict[tuple[int
         if i < j:
             between[i, j].append(loop)
         elif j < i:
-            between[j, i].append(_reversed(loop))
+            motion = replace(loop.motion, T_ref_query=se3.inverse(loop.motion.T_ref_query))
+            between[j, i].append(Link(loop.query_id, loop.ref_id, motion))
     return between
 
 
@@ -108,9 +109,3 @@ def _union(earlier: Submap, later: Submap, join: Link) -> Submap:
     T_earlier_later = T_earlier_first @ se3.inverse(later.T_submap_kf[later.first])
     moved = {k: T_earlier_later @ T_later_kf for k, T_later_kf in later.T_submap_kf.items()}
     return Submap({**earlier.T_submap_kf, **moved}, [*earlier.links, join, *later.links])
-
-
-def _reversed(loop: Link) -> Link:
-    """Return a loop seen from its other end, for its motion alone."""
-    motion = replace(loop.motion, T_ref_query=se3.inverse(loop.motion.T_ref_query))
-    return Link(loop.query_id, loop.ref_id, motion)

@@ -90,14 +90,9 @@ class _Structure:
     """
 
     def __init__(self, bundle: Bundle) -> None:
-        observations, points = len(bundle.measured), len(bundle.points_m)
-        ones, everything = np.ones(observations), np.arange(observations)
-        self.by_camera = scipy.sparse.csr_array(
-            (ones, (bundle.camera_of, everything)), shape=(len(bundle.is_fixed), observations)
-        )
-        self.by_point = scipy.sparse.csr_array(
-            (ones, (bundle.point_of, everything)), shape=(points, observations)
-        )
+        points = len(bundle.points_m)
+        self.by_camera = _sums(bundle.camera_of, len(bundle.is_fixed))
+        self.by_point = _sums(bundle.point_of, points)
         self.free = np.flatnonzero(~bundle.is_fixed)
         self._of_free = np.flatnonzero(~bundle.is_fixed[bundle.camera_of])
         self._column = np.searchsorted(self.free, bundle.camera_of[self._of_free])
@@ -118,19 +113,12 @@ class _Structure:
 
 @dataclass(frozen=True)
 class _Misfit:
-    """How far the observations are off, and the robust cost of it.
+    """How far the observations are off, and the robust cost of it."""
 
-    Attributes:
-        residuals: (3, O), whitened, weighted.
-        by_point: (3, 3, O), their derivative by the point in the camera's frame.
-        points_cam_m: (3, O), there.
-        cost: of all together.
-    """
-
-    residuals: FloatArray
-    by_point: FloatArray
-    points_cam_m: FloatArray
-    cost: float
+    residuals: FloatArray  # (3, O), whitened, weighted
+    by_point: FloatArray  # (3, 3, O), their derivative by the point in the camera's frame
+    points_cam_m: FloatArray  # (3, O)
+    cost: float  # of all together
 
 
 @dataclass(frozen=True)
@@ -181,6 +169,12 @@ def _linearise(bundle: Bundle, misfit: _Misfit, structure: _Structure) -> _Syste
         g_point=_added(structure.by_point, np.einsum("rio,ro->oi", J_point, r)),
         W=np.einsum("rio,rjo->oij", J_point, J_cam),
     )
+
+
+def _sums(owner_of: IntArray, owners: int) -> scipy.sparse.csr_array:
+    """Return the matrix that adds up, per owner, the observations that are its own."""
+    entries = (np.ones(len(owner_of)), (owner_of, np.arange(len(owner_of))))
+    return scipy.sparse.csr_array(entries, shape=(owners, len(owner_of)))
 
 
 def _added(by: scipy.sparse.csr_array, values: FloatArray) -> FloatArray:

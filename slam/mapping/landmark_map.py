@@ -64,11 +64,8 @@ class LandmarkMap:
     ) -> IntArray:
         """Return (M, 2) pairs (landmark id, feature): landmarks found where they should be seen.
 
-        Args:
-            grid: the features to look among.
-            T_map_cam: (4, 4), where the camera is thought to be.
-            ids: (P,) the landmarks to look for.
-            radius_px: how far from its place one is looked for, on the finest pyramid level.
+        The camera is thought to be at (4, 4) T_map_cam. Landmarks with (P,) ids are looked for
+        within a radius that holds on the finest pyramid level and is larger on coarser ones.
         """
         table = self.landmarks
         rays = table.positions_m[ids] - T_map_cam[:3, 3]
@@ -97,19 +94,14 @@ class LandmarkMap:
         self, features: Features, grid: FeatureGrid, T_map_cam: FloatArray, pairs: IntArray
     ) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id."""
-        everything = np.arange(len(features.pixels))
+        new_id, count = len(self.keyframes), len(features.pixels)
+        measured = Measurements.of(features, np.arange(count), self.camera)
+        landmark_of, created_ids = np.full(count, UNSEEN), np.zeros(0, dtype=np.int64)
         self.keyframes.append(
-            MappedKeyframe(
-                features=features,
-                measured=Measurements.of(features, everything, self.camera),
-                grid=grid,
-                landmark_of=np.full(len(features.pixels), UNSEEN),
-                created_ids=np.zeros(0, dtype=np.int64),
-                T_map_cam=T_map_cam,
-            )
+            MappedKeyframe(features, measured, grid, landmark_of, created_ids, T_map_cam)
         )
-        self._observe(len(self.keyframes) - 1, pairs)
-        return len(self.keyframes) - 1
+        self._observe(new_id, pairs)
+        return new_id
 
     def add_landmarks(self, keyframe_id: int) -> IntArray:
         """Make landmarks of a keyframe's features that have depth and show none; return the ids."""
@@ -162,12 +154,9 @@ class LandmarkMap:
         table = self.landmarks
         for k, T_new in zip(keyframe_ids, T_map_kf, strict=True):
             keyframe = self.keyframes[k]
-            T_new_old = T_new @ se3.inverse(keyframe.T_map_cam)
-            table.positions_m[keyframe.created_ids] = se3.transform(
-                T_new_old, table.positions_m[keyframe.created_ids]
-            )
-            turned = table.directions[keyframe.created_ids] @ T_new_old[:3, :3].T
-            table.directions[keyframe.created_ids] = turned
+            T_new_old, ids = T_new @ se3.inverse(keyframe.T_map_cam), keyframe.created_ids
+            table.positions_m[ids] = se3.transform(T_new_old, table.positions_m[ids])
+            table.directions[ids] = table.directions[ids] @ T_new_old[:3, :3].T
             keyframe.T_map_cam = T_new
 
     def _observe(self, keyframe_id: int, pairs: IntArray) -> None:

@@ -85,8 +85,7 @@ class Landmarks:
         self.octaves[new] = octaves[newest]
         self.distances_m[new] = distances_m[newest]
         self.directions[new] = rays[newest] / distances_m[newest][:, None]
-        slot = self.sightings[ids] % _OBSERVERS
-        self.observers[ids, slot] = keyframe_id
+        self.observers[ids, self.sightings[ids] % _OBSERVERS] = keyframe_id
         self.sightings[ids] += 1
 
     def merge(self, gone: IntArray, kept: IntArray) -> None:

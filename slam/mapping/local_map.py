@@ -55,10 +55,18 @@ class LocalMap:
         for neighbour in neighbours:
             self.whole.fuse(neighbour, made, _FUSE_RADIUS_PX)
         self._window = sorted([*neighbours, newest])
-        self._cull(newest)
+        table, ids = self.whole.landmarks, self.whole.seen_by(self._window)
+        had_its_chance = table.first_keyframe[ids] + _TRIAL_KEYFRAMES <= newest
+        table.is_alive[ids[had_its_chance & (table.sightings[ids] < 2)]] = False
         if not neighbours:
             self._origins.add(newest)
-        self._underway = self._thread.submit(adjusted, self._problem(), self.whole.camera, _ROUNDS)
+        covisible = self.whole.covisible_keyframes(self.whole.seen_by(self._window))
+        outer = [k for k in covisible if k not in self._window][:_OUTER]
+        # The first keyframe of a segment is its origin; it moves for nobody.
+        free = [k for k in self._window if k not in self._origins]
+        origins = [k for k in self._window if k in self._origins]
+        problem = extract_problem(self.whole, free, [*outer, *origins])
+        self._underway = self._thread.submit(adjusted, problem, self.whole.camera, _ROUNDS)
         return newest
 
     def settle(self) -> bool:
@@ -69,17 +77,3 @@ class LocalMap:
         write_back(self.whole, underway.result())
         self.nearby_ids = self.whole.seen_by(self._window)
         return True
-
-    def _cull(self, newest: int) -> None:
-        table, ids = self.whole.landmarks, self.whole.seen_by(self._window)
-        had_its_chance = table.first_keyframe[ids] + _TRIAL_KEYFRAMES <= newest
-        table.is_alive[ids[had_its_chance & (table.sightings[ids] < 2)]] = False
-
-    def _problem(self) -> AdjustmentProblem:
-        """Return the window, and what else sees its landmarks and holds it in place."""
-        covisible = self.whole.covisible_keyframes(self.whole.seen_by(self._window))
-        outer = [k for k in covisible if k not in self._window][:_OUTER]
-        # The first keyframe of a segment is its origin; it moves for nobody.
-        free = [k for k in self._window if k not in self._origins]
-        origins = [k for k in self._window if k in self._origins]
-        return extract_problem(self.whole, free, [*outer, *origins])

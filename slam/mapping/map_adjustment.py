@@ -11,7 +11,7 @@ from slam.geometry.reprojection import Measurements
 from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.landmarks import UNSEEN
-from slam.types import Camera, FloatArray, IntArray, Keyframe
+from slam.types import Camera, FloatArray, IntArray
 
 _MIN_OBSERVERS = 2  # a point that one camera alone sees says nothing of where it is
 
@@ -43,13 +43,17 @@ def extract_problem(
     Where none is fixed, the first one is.
     """
     keyframe_ids = (*free, *fixed)
-    camera_of, feature_of, landmark_of = _observations(the_map, keyframe_ids)
+    keyframes = [the_map.keyframes[k] for k in keyframe_ids]
+    seen = [the_map.landmarks.resolve(each.landmark_of) for each in keyframes]
+    features = [np.flatnonzero(each != UNSEEN) for each in seen]
+    camera_of = np.repeat(np.arange(len(keyframes)), [len(each) for each in features])
+    feature_of = np.concatenate(features)
+    landmark_of = np.concatenate([each[i] for each, i in zip(seen, features, strict=True)])
     of_free = np.isin(landmark_of, the_map.seen_by(free))
     _, inverse, observers = np.unique(landmark_of, return_inverse=True, return_counts=True)
     chosen = np.flatnonzero(of_free & (observers[inverse] >= _MIN_OBSERVERS))
     chosen = chosen[np.lexsort((camera_of[chosen], landmark_of[chosen]))]
     landmark_ids, point_of = np.unique(landmark_of[chosen], return_inverse=True)
-    keyframes = [the_map.keyframes[k] for k in keyframe_ids]
     starts = np.cumsum([0, *(len(each.measured) for each in keyframes)])
     measured = Measurements.joined([each.measured for each in keyframes])
     bundle = Bundle(
@@ -92,17 +96,6 @@ def write_back(the_map: LandmarkMap, problem: AdjustmentProblem) -> None:
         keyframe.landmark_of[gone] = UNSEEN
 
 
-def _observations(
-    the_map: LandmarkMap, keyframe_ids: Sequence[int]
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the camera, the feature and the landmark of all that the keyframes see."""
-    seen = [the_map.landmarks.resolve(the_map.keyframes[k].landmark_of) for k in keyframe_ids]
-    features = [np.flatnonzero(each != UNSEEN) for each in seen]
-    cameras = [np.full(len(each), i) for i, each in enumerate(features)]
-    landmarks = [each[index] for each, index in zip(seen, features, strict=True)]
-    return np.concatenate(cameras), np.concatenate(features), np.concatenate(landmarks)
-
-
 # How far apart the pose graph leaves the two ends of a loop, and how far an adjusted map does; and
 # so many covisible keyframes are searched along.
 _LOOP_RADIUS_PX, _LOOP_COVISIBLE = 8.0, 5
@@ -124,15 +117,6 @@ def size_warning(keyframes: int) -> tuple[str, ...]:
     )
 
 
-def at_tracked_poses(the_map: LandmarkMap, keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
-    """Return the keyframes at their last places in the tracker's map, which knows of no loop."""
-    places = the_map.keyframes[: len(keyframes)]
-    return tuple(
-        replace(keyframe, T_odom_cam=place.T_map_cam)
-        for keyframe, place in zip(keyframes, places, strict=True)
-    )
-
-
 def adjust_with_loops(
     the_map: LandmarkMap,
     keyframe_ids: Sequence[int],
@@ -141,11 +125,8 @@ def adjust_with_loops(
 ) -> LandmarkMap:
     """Return the map moved to where the pose graph puts it, matched across the loops, and adjusted.
 
-    Args:
-        the_map: the tracker's map; it stays as it is.
-        keyframe_ids: the K keyframes that have a place; the others stay as they are.
-        T_world_kf: (K, 4, 4) their poses to start from.
-        loops: pairs of keyframe ids that show the same place.
+    It is a copy, in which K keyframes start from (K, 4, 4) poses and the others stay as they are.
+    The loops are pairs of keyframe ids that show the same place.
     """
     final = the_map.copy()
     final.move_keyframes(keyframe_ids, T_world_kf)

@@ -3,7 +3,7 @@
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,11 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from placerec.files import write_atomically
-from slam.evaluation.drift import DriftReport, LoopTruth
+from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
+from slam.output.decision import Decision, decisions
 from slam.result import SlamResult
-from slam.types import LoopAttempt, RelativePose, SlamError
+from slam.types import RelativePose, SlamError
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -95,9 +96,8 @@ def write_ledger(path: Path, result: SlamResult, drift: DriftReport | None) -> N
     Raises:
         LoopcloseError: the file cannot be written.
     """
-    lines = [
-        json.dumps(asdict(record), allow_nan=False) + "\n" for record in loop_records(result, drift)
-    ]
+    records = loop_records(result, drift)
+    lines = [json.dumps(asdict(record), allow_nan=False) + "\n" for record in records]
     write_atomically(path, "".join(lines))
 
 
@@ -107,39 +107,40 @@ def read_ledger(path: Path) -> tuple[LoopRecord, ...]:
     Raises:
         SlamError: the file cannot be read or a line is not a loop record; names the line.
     """
+    records: list[LoopRecord] = []
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        for line in path.read_text(encoding="utf-8").splitlines():
+            records.append(_LINE.validate_json(line))
     except OSError as error:
         raise SlamError(f"cannot read the loop ledger: {error.strerror}: {path}") from error
     except UnicodeDecodeError as error:
         raise SlamError(f"the loop ledger is not a text file: {path}") from error
-    return tuple(_parse(line, number, path) for number, line in enumerate(lines, start=1))
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"]) or "the line"
+        raise SlamError(
+            f"line {len(records) + 1} of the loop ledger: {name}: {first['msg']}: {path}"
+        ) from error
+    return tuple(records)
 
 
 def loop_records(result: SlamResult, drift: DriftReport | None) -> tuple[LoopRecord, ...]:
     """Return the ledger's records of a run, one per loop attempt."""
-    stamps_s = {keyframe.id: keyframe.timestamp_s for keyframe in result.keyframes}
-    truths = drift.loops if drift else [None] * len(result.attempts)
-    return tuple(
-        _record(attempt, truth, stamps_s, result.min_similarity)
-        for attempt, truth in zip(result.attempts, truths, strict=True)
-    )
+    return tuple(_record(loop, result.min_similarity) for loop in decisions(result, drift))
 
 
-def _record(
-    attempt: LoopAttempt,
-    truth: LoopTruth | None,
-    stamps_s: dict[int, float],
-    min_similarity: float,
-) -> LoopRecord:
-    rejection = attempt.rejection
-    seen = attempt.verification
-    motion = attempt.motion
+def _record(loop: Decision, min_similarity: float) -> LoopRecord:
+    attempt, rejection = loop.attempt, loop.attempt.rejection
+    truth = None
+    if loop.truth is not None and not math.isnan(loop.truth.true_distance_m):
+        *errors, is_false = astuple(loop.truth)
+        far_m, far_deg, apart_m, apart_deg = map(_number, errors)
+        truth = TruthRecord(far_m, far_deg, apart_m, apart_deg, is_false)
     return LoopRecord(
         query_id=int(attempt.query_id),
         match_id=int(attempt.match_id),
-        query_timestamp_s=round(float(stamps_s[attempt.query_id]), 6),
-        match_timestamp_s=round(float(stamps_s[attempt.match_id]), 6),
+        query_timestamp_s=round(float(loop.query.timestamp_s), 6),
+        match_timestamp_s=round(float(loop.match.timestamp_s), 6),
         similarity=_digits(attempt.similarity),
         min_similarity=_digits(min_similarity),
         accepted=rejection is None,
@@ -148,11 +149,11 @@ def _record(
         measured=_number(rejection.measured) if rejection else None,
         needed=_number(rejection.needed) if rejection else None,
         margin=_number(rejection.needed - rejection.measured) if rejection else None,
-        matches=len(seen.pixels) if seen else None,
-        inliers=int(seen.inlier_mask.sum()) if seen else None,
-        T_match_query=_motion_record(motion) if motion else None,
+        matches=loop.matches,
+        inliers=loop.inliers,
+        T_match_query=_motion_record(attempt.motion) if attempt.motion else None,
         weight=_number(attempt.weight) if attempt.weight is not None else None,
-        truth=_truth_record(truth) if truth else None,
+        truth=truth,
     )
 
 
@@ -163,18 +164,6 @@ def _motion_record(motion: RelativePose) -> MotionRecord:
     return MotionRecord((x, y, z), (qx, qy, qz, qw), tuple(_digits(value) for value in upper))
 
 
-def _truth_record(truth: LoopTruth) -> TruthRecord | None:
-    if math.isnan(truth.true_distance_m):
-        return None
-    return TruthRecord(
-        translation_error_m=_number(truth.translation_error_m),
-        rotation_error_deg=_number(truth.rotation_error_deg),
-        true_distance_m=_number(truth.true_distance_m),
-        true_angle_deg=_number(truth.true_angle_deg),
-        is_false=truth.is_false,
-    )
-
-
 def _digits(value: float) -> float:
     # Nine significant digits hide the last bits, in which two computers may differ.
     return float(f"{value:.9g}") + 0.0
@@ -182,14 +171,3 @@ def _digits(value: float) -> float:
 
 def _number(value: float) -> float | None:
     return _digits(value) if math.isfinite(value) else None
-
-
-def _parse(line: str, number: int, path: Path) -> LoopRecord:
-    try:
-        return _LINE.validate_json(line)
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"]) or "the line"
-        raise SlamError(
-            f"line {number} of the loop ledger: {name}: {first['msg']}: {path}"
-        ) from error

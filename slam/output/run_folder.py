@@ -13,7 +13,7 @@ from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
 from slam.output.ledger import write_ledger
 from slam.output.point_cloud import write_map
-from slam.output.report import write_report
+from slam.output.report.page import write_report
 from slam.output.summary import summarise
 from slam.pose_graph import write_g2o
 from slam.result import SlamResult
@@ -56,17 +56,12 @@ def write_run(
 
     Files that an earlier run left there and this one does not make are removed.
 
-    Args:
-        folder: as made by `make_run_folder`.
-        result: the run.
-        drift: its comparison with the truth, or None where there is none.
-        truth: true camera poses, or None where there are none.
-        config: the settings it ran with.
-        title: what the report calls it.
-        command: what was typed, settings apart; it heads settings.toml and the summary.
+    The folder is as made by `make_run_folder`, the config the one that it ran with. Drift and truth
+    (the true camera poses) are None where there are none. The title is the report's; the command,
+    what was typed but for the settings, heads settings.toml and the summary.
 
     Raises:
-        SlamError: a file cannot be written; those before it are complete.
+        LoopcloseError: a file cannot be written; those before it are complete.
     """
     if (folder / "summary.json").exists():
         for name in ("groundtruth.txt", "map.ply"):  # this run may not make them
@@ -74,6 +69,11 @@ def write_run(
     settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     has_place = np.isfinite(result.T_world_kf[:, 0, 0])
+    loops = [
+        Link(attempt.match_id, attempt.query_id, attempt.outcome)
+        for attempt in result.attempts
+        if isinstance(attempt.outcome, RelativePose)
+    ]
     write_tum(folder / "trajectory.txt", result.trajectory)
     write_tum(folder / "odometry.txt", result.odometry)
     write_tum(
@@ -82,19 +82,10 @@ def write_run(
     if truth is not None:
         write_tum(folder / "groundtruth.txt", truth)
     write_ledger(folder / "loops.jsonl", result, drift)
-    write_g2o(folder / "pose_graph.g2o", result.T_world_kf, _motions(result))
+    write_g2o(folder / "pose_graph.g2o", result.T_world_kf, [*result.links, *loops])
     write_atomically(folder / "settings.toml", settings)
-    summary = json.dumps({"command": command, **summarise(result, drift)}, indent=2)
-    write_atomically(folder / "summary.json", summary + "\n")
+    summary = {"command": command, **summarise(result, drift)}
+    write_atomically(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
     write_report(folder / "report.html", result, drift, settings, title, truth)
     if config.map.write:
         write_map(folder / "map.ply", result, config.map)
-
-
-def _motions(result: SlamResult) -> list[Link]:
-    loops = [
-        Link(attempt.match_id, attempt.query_id, attempt.outcome)
-        for attempt in result.attempts
-        if isinstance(attempt.outcome, RelativePose) and attempt.rejection is None
-    ]
-    return [*result.links, *loops]

@@ -8,21 +8,16 @@ import numpy as np
 
 from slam.types import FloatArray
 
-_BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
-
 
 def optimize(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values) -> gtsam.Values:
     """Return the better of the optima reached from `initial` and from a global start.
 
     Levenberg-Marquardt from a long odometry chain can end in a local optimum. Rotation
     synchronisation finds a start that knows nothing of the chain, at a fraction of the cost.
-
-    Args:
-        graph: between factors and a prior that fixes the gauge.
-        initial: one pose per key.
+    The graph has between factors and a prior that fixes the gauge.
     """
     starts = [initial, *_global_start(graph, initial)]
-    optima = [_descend(graph, start) for start in starts]
+    optima = [gtsam.LevenbergMarquardtOptimizer(graph, start).optimize() for start in starts]
     return min(optima, key=graph.error)
 
 
@@ -34,14 +29,11 @@ def pose_at(values: gtsam.Values, key: int) -> Any:
         return values.atPose2(key)
 
 
-def _descend(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
-    return gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
-
-
 def _global_start(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values) -> list[gtsam.Values]:
     """Return the start that synchronisation finds, moved to where `initial` begins, or nothing."""
+    between = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
     factors: list[Any] = [graph.at(i) for i in range(graph.size())]
-    factors = [each for each in factors if isinstance(each, _BETWEEN)]
+    factors = [each for each in factors if isinstance(each, between)]
     if not factors:
         return []
     is_planar = isinstance(factors[0], gtsam.BetweenFactorPose2)

@@ -24,25 +24,25 @@ _FIELDS = {
     "VERTEX_SE3:QUAT": (1, 7),
     "EDGE_SE3:QUAT": (2, 7 + 21),
 }
-_IGNORED = {"FIX"}
 # g2o's tangents have the translation first, ours the rotation; in 2-D both begin with it.
 _G2O_ORDER = [3, 4, 5, 0, 1, 2]
 
 
 def write_g2o(path: Path, T_world_kf: FloatArray, motions: Iterable[Link]) -> None:
-    """Write a 3-D pose graph, in whole or not at all.
+    """Write a 3-D pose graph in place of the file, in whole or not at all.
 
-    Args:
-        path: the file; an existing one is replaced.
-        T_world_kf: (K, 4, 4), metres; the row is the keyframe's id, NaN where it is left out.
-        motions: links, and the loops that hold as links too.
+    Poses are (K, 4, 4), metres; the row is the keyframe's id, NaN where it is left out. The motions
+    are the links, and the loops that hold.
 
     Raises:
         LoopcloseError: the file cannot be written.
     """
     known = np.flatnonzero(np.isfinite(T_world_kf).all(axis=(1, 2)))
     lines = [f"VERTEX_SE3:QUAT {i} {_pose_text(T_world_kf[i])}" for i in known]
-    lines += [_edge_text(each) for each in motions]
+    for each in motions:
+        information = each.motion.information[np.ix_(_G2O_ORDER, _G2O_ORDER)]
+        text = f"{_pose_text(each.motion.T_ref_query)} {_numbers(information[np.triu_indices(6)])}"
+        lines.append(f"EDGE_SE3:QUAT {each.ref_id} {each.query_id} {text}")
     write_atomically(path, "\n".join(lines) + "\n")
 
 
@@ -63,7 +63,7 @@ def read_g2o(path: Path) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     dimensions = set()
     for number, line in enumerate(lines, 1):
         tag, *fields = line.split() or ["#"]
-        if tag.startswith("#") or tag in _IGNORED:
+        if tag.startswith("#") or tag == "FIX":
             continue
         place = f"line {number} of {path}"
         ids, numbers = _checked(tag, fields, place)
@@ -83,8 +83,7 @@ def _checked(tag: str, fields: list[str], place: str) -> tuple[list[int], FloatA
     """Return the keyframe numbers and the other numbers of a line."""
     if tag not in _FIELDS:
         raise SlamError(f"{tag} is not a tag of a pose graph ({', '.join(_FIELDS)}): {place}")
-    id_count, number_count = _FIELDS[tag]
-    needed = id_count + number_count
+    id_count, needed = _FIELDS[tag][0], sum(_FIELDS[tag])
     if len(fields) != needed:
         raise SlamError(f"{tag} has {len(fields)} numbers, {needed} are needed: {place}")
     for field in fields[:id_count]:
@@ -108,17 +107,16 @@ def _pose(numbers: FloatArray) -> Any:
 
 
 def _between(ids: list[int], numbers: FloatArray, place: str) -> Any:
-    factor: Any = gtsam.BetweenFactorPose2
-    size, width = 3, 3
-    if len(numbers) != 3 + 6:
-        factor = gtsam.BetweenFactorPose3
-        size, width = 6, 7
+    is_planar = len(numbers) == 3 + 6
+    size, width = (3, 3) if is_planar else (6, 7)
     upper = np.zeros((size, size))
     upper[np.triu_indices(size)] = numbers[width:]
     information = upper + np.triu(upper, 1).T
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         raise SlamError(f"the information matrix is not positive definite: {place}")
-    if size == 6:
+    factor: Any = gtsam.BetweenFactorPose2
+    if not is_planar:
+        factor = gtsam.BetweenFactorPose3
         information = information[np.ix_(_G2O_ORDER, _G2O_ORDER)]
     noise = gtsam.noiseModel.Gaussian.Information(information)
     return factor(*ids, _pose(numbers[:width]), noise)
@@ -149,13 +147,6 @@ def _chained(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Path
 
 def _pose_text(T: FloatArray) -> str:
     return _numbers([*T[:3, 3], *se3.to_quaternion(T[:3, :3])])
-
-
-def _edge_text(link: Link) -> str:
-    information = link.motion.information[np.ix_(_G2O_ORDER, _G2O_ORDER)]
-    motion = _pose_text(link.motion.T_ref_query)
-    upper = _numbers(information[np.triu_indices(6)])
-    return f"EDGE_SE3:QUAT {link.ref_id} {link.query_id} {motion} {upper}"
 
 
 def _numbers(values: Iterable[float]) -> str:

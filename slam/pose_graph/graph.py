@@ -61,9 +61,9 @@ class PoseGraph:
         self._loops: dict[int, gtsam.BetweenFactorPose3] = {}
         self._weights: dict[int, float] = {}  # of the loops weighed so far
         self._chain = gtsam.Values()  # poses by odometry alone, where every robust solve starts
-        self._values = gtsam.Values()  # the best poses so far
-        self._isam: gtsam.ISAM2 | None = None  # None where other loops hold than it knows
-        self._clear_new()
+        self._values: gtsam.Values  # the best poses so far
+        self._isam: gtsam.ISAM2 | None  # None where other loops hold than it knows
+        self._take(gtsam.Values())
 
     def add_keyframe(self, keyframe_id: int, T_world_kf_guess: FloatArray) -> None:
         """Add a keyframe at a (4, 4) guess of its pose, in metres; links have to follow.
@@ -88,18 +88,16 @@ class PoseGraph:
             ValueError: a keyframe of it is not in the graph, or neither is connected to the first.
         """
         factor = self._factor(link.ref_id, link.query_id, link.motion)
-        motion = factor.measured()
         has_ref, has_query = self._chain.exists(link.ref_id), self._chain.exists(link.query_id)
         if has_ref and has_query:
             self._side_links.append(factor)
             self._side_weights.append(1.0)  # until it is weighed
-        elif has_ref:
+        elif has_ref or has_query:
             self._odometry.add(factor)
-            self._chain.insert(link.query_id, self._chain.atPose3(link.ref_id).compose(motion))
-        elif has_query:
-            self._odometry.add(factor)
-            T_world_query = self._chain.atPose3(link.query_id)
-            self._chain.insert(link.ref_id, T_world_query.compose(motion.inverse()))
+            old_id, new_id, step = link.ref_id, link.query_id, factor.measured()
+            if has_query:
+                old_id, new_id, step = new_id, old_id, step.inverse()
+            self._chain.insert(new_id, self._chain.atPose3(old_id).compose(step))
         else:
             raise ValueError(
                 f"link {link.ref_id} - {link.query_id} is not connected to the first keyframe: "
@@ -126,7 +124,7 @@ class PoseGraph:
         self._check_connected()
         waiting = len(self._loops) - len(self._weights)
         if waiting > _LOOP_GROWTH * len(self._weights):
-            self._start_from(self._weigh(*self._whole(), (SUPER_LINEAR,)).values)
+            self._take(self._weigh(SUPER_LINEAR)[0].values)
         elif self._new_values.size() or self._new_factors.size():
             self._follow()
 
@@ -140,15 +138,14 @@ class PoseGraph:
         values = self._chain  # whatever `update` made of it: who asked on the way changes nothing
         warnings: tuple[str, ...] = ()
         if self._loops or self._side_links:
-            graph, doubted = self._whole()
-            is_large = len(doubted) > _MOST_FOR_LINEAR
+            is_large = len(self._side_links) + len(self._loops) > _MOST_FOR_LINEAR
             schedules = (SUPER_LINEAR,) if is_large else (SUPER_LINEAR, LINEAR)
-            solution = self._weigh(graph, doubted, schedules)
+            solution, graph, doubted = self._weigh(*schedules)
             values = solution.values
             contested = contested_motions(graph, self._chain, doubted, solution)
             weights = np.array(list(self._weights.values()))
             warnings = doubts(weights > MIN_TRUSTED_WEIGHT, contested[len(self._side_links) :])
-        self._start_from(optimize(self._trusted(), values))
+        self._take(optimize(self._trusted(), values))
         poses = np.array([self.T_world_kf(each) for each in self._ids]).reshape(-1, 4, 4)
         return GraphSolution(poses, dict(self._weights), warnings)
 
@@ -156,43 +153,39 @@ class PoseGraph:
         """Return the (4, 4) float64 pose of a keyframe as of the last `update`, metres."""
         return np.asarray(self._values.atPose3(keyframe_id).matrix(), dtype=np.float64)
 
-    def _whole(self) -> tuple[gtsam.NonlinearFactorGraph, list[int]]:
-        """Return the graph of all motions, and where in it those are that may be wrong."""
+    def _weigh(
+        self, *schedules: gtsam.GncScheduler
+    ) -> tuple[RobustSolution, gtsam.NonlinearFactorGraph, list[int]]:
+        """Weigh all motions but the odometry against each other, starting from the odometry.
+
+        Returns what came out, the graph of all motions, and where in it those are that are doubted.
+        """
         graph = self._odometry.clone()
         for factor in (*self._side_links, *self._loops.values()):
             graph.add(factor)
-        return graph, list(range(self._odometry.size(), graph.size()))
-
-    def _weigh(
-        self,
-        graph: gtsam.NonlinearFactorGraph,
-        doubted: list[int],
-        schedules: tuple[gtsam.GncScheduler, ...],
-    ) -> RobustSolution:
-        """Weigh all motions but the odometry against each other, starting from the odometry."""
+        doubted = list(range(self._odometry.size(), graph.size()))
         probability = self._config.inlier_probability
         solution = solve_robustly(graph, self._chain, doubted, probability, schedules)
         weights = solution.weights[doubted].tolist()
         count = len(self._side_links)
         self._side_weights = weights[:count]
         self._weights = dict(zip(self._loops, weights[count:], strict=True))
-        return solution
+        return solution, graph, doubted
 
     def _trusted(self) -> gtsam.NonlinearFactorGraph:
         """Return the graph of the odometry and of those other motions that hold."""
         graph = self._odometry.clone()
-        for factor, weight in zip(self._side_links, self._side_weights, strict=True):
+        weighed_loops = [(self._loops[key], weight) for key, weight in self._weights.items()]
+        side_links = zip(self._side_links, self._side_weights, strict=True)
+        for factor, weight in (*side_links, *weighed_loops):
             if weight > MIN_TRUSTED_WEIGHT:
                 graph.add(factor)
-        for key, weight in self._weights.items():
-            if weight > MIN_TRUSTED_WEIGHT:
-                graph.add(self._loops[key])
         return graph
 
-    def _start_from(self, values: gtsam.Values) -> None:
-        """Take these poses, found with the loops that hold now; the incremental solver is stale."""
-        self._values, self._isam = values, None
-        self._clear_new()
+    def _take(self, values: gtsam.Values, isam: gtsam.ISAM2 | None = None) -> None:
+        """Take these poses, in which all motions so far are, for the best ones."""
+        self._values, self._isam = values, isam
+        self._new_values, self._new_factors = gtsam.Values(), gtsam.NonlinearFactorGraph()
 
     def _follow(self) -> None:
         """Let the incremental solver add what is new."""
@@ -204,12 +197,7 @@ class PoseGraph:
             self._isam = gtsam.ISAM2(params)
             self._new_factors, self._new_values = self._trusted(), self._values
         self._isam.update(self._new_factors, self._new_values)
-        self._clear_new()
-        self._values = self._isam.calculateEstimate()
-
-    def _clear_new(self) -> None:
-        self._new_values = gtsam.Values()
-        self._new_factors = gtsam.NonlinearFactorGraph()
+        self._take(self._isam.calculateEstimate(), self._isam)
 
     def _factor(self, ref_id: int, query_id: int, motion: RelativePose) -> gtsam.BetweenFactorPose3:
         for each in (ref_id, query_id):

@@ -48,16 +48,12 @@ def solve_robustly(
 ) -> RobustSolution:
     """Return the poses that satisfy most of the doubted motions, and which of them those are.
 
-    No schedule wins everywhere: the linear one loses all loops of a long path that closes rarely,
-    the super-linear one hurries past the answer in small dense maps. The truncated cost, which
-    both minimise, tells which of them got further.
-
-    Args:
-        graph: factors; all but the doubted ones are believed.
-        initial: one pose per key, from odometry.
-        doubted: positions in the graph of the factors that may be wrong.
-        inlier_probability: doubted factors whose chi-square exceeds this quantile count as false.
-        schedules: how fast to move from the convex problem to the true one.
+    Doubted are positions of factors in the graph: where a chi-square exceeds the quantile of the
+    inlier probability, the factor counts as false. All others are believed. The start is one pose
+    per key, from odometry; a schedule says how fast to move from the convex problem to the true
+    one. No schedule wins everywhere: the linear one loses all loops of a long path that closes
+    rarely, the super-linear one hurries past the answer in small dense maps. The truncated cost,
+    which both minimise, tells which of them got further.
     """
     runs = [_graduate(graph, initial, doubted, inlier_probability, each) for each in schedules]
     return min(runs, key=lambda run: run.cost)
@@ -72,8 +68,8 @@ def _graduate(
 ) -> RobustSolution:
     # Start from what is believed: a first least-squares fit to everything, false loops included,
     # would bend the map beyond recognition.
-    weights = np.ones(graph.size())
-    weights[list(doubted)] = 0.0
+    is_doubted = np.isin(np.arange(graph.size()), list(doubted))
+    weights = np.where(is_doubted, 0.0, 1.0)
     params = gtsam.GncLMParams()
     params.setScheduler(schedule)
     params.setKnownInliers(np.flatnonzero(weights).tolist())
@@ -84,7 +80,6 @@ def _graduate(
     weights = np.asarray(optimizer.getWeights(), dtype=np.float64)
     errors = factor_errors(graph, values)
     limits = np.asarray(optimizer.getInlierCostThresholds())
-    is_doubted = np.isin(np.arange(graph.size()), list(doubted))
     if not weights[is_doubted].any() and (errors <= limits)[is_doubted].all():
         # Where the odometry contradicts nothing, GNC stops at once with the weights it was given.
         weights = np.ones(graph.size())
@@ -108,31 +103,29 @@ def contested_motions(
 ) -> NDArray[np.bool_]:
     """Return the (D,) bool motions that the solution and a Cauchy kernel see clearly differently.
 
-    Args:
-        graph: factors; all but the doubted ones are believed.
-        initial: one pose per key, from odometry.
-        doubted: positions of the D factors in the graph that may be wrong.
-        solution: what the robust solve made of them.
+    The solution is what `solve_robustly` made of the same graph, start and D doubted factors.
     """
     limits = solution.limits[doubted]
     first = solution.errors[doubted] / limits
     kernel_width = float(np.sqrt(2.0 * limits.min()))
     cauchy = gtsam.noiseModel.mEstimator.Cauchy(kernel_width)
-    second = factor_errors(graph, _reweighted(graph, initial, doubted, cauchy))[doubted] / limits
+    softened = graph.clone()
+    for i in doubted:
+        factor: Any = graph.at(i)
+        noise = gtsam.noiseModel.Robust.Create(cauchy, factor.noiseModel())
+        softened.replace(i, factor.cloneWithNewNoiseModel(noise))
+    reweighted = gtsam.LevenbergMarquardtOptimizer(softened, initial).optimize()
+    second = factor_errors(graph, reweighted)[doubted] / limits
     kept = solution.weights[doubted] > MIN_TRUSTED_WEIGHT
     return np.where(kept, second > _CLEARLY_OUT, (second < 1.0) & (first > _CLEARLY_OUT))
 
 
 def doubts(kept: NDArray[np.bool_], contested: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return a sentence where all loops were rejected or a second estimator sees them otherwise.
+    """Return a sentence if all loops were rejected, or a second estimator sees some otherwise.
 
-    Args:
-        kept: (L,) bool, loops that the robust solve believes.
-        contested: (L,) bool, loops that a second estimator sees otherwise.
+    The (L,) bool masks tell which loops the robust solve believes, and which are contested.
     """
-    if not len(kept):
-        return ()
-    if not kept.any():
+    if len(kept) and not kept.any():
         return (
             f"all {len(kept)} loops contradict the odometry or each other and were left out, so "
             f"the trajectory is the odometry's; {_ADVICE}",
@@ -143,18 +136,3 @@ def doubts(kept: NDArray[np.bool_], contested: NDArray[np.bool_]) -> tuple[str, 
         f"two robust estimators disagree on {contested.sum()} of {len(kept)} loops "
         f"({kept.sum()} were kept, {(contested & kept).sum()} of them contested); {_ADVICE}",
     )
-
-
-def _reweighted(
-    graph: gtsam.NonlinearFactorGraph,
-    initial: gtsam.Values,
-    doubted: Sequence[int],
-    kernel: gtsam.noiseModel.mEstimator.Base,
-) -> gtsam.Values:
-    """Return the poses that iteratively reweighted least squares finds."""
-    softened = graph.clone()
-    for i in doubted:
-        factor: Any = graph.at(i)
-        noise = gtsam.noiseModel.Robust.Create(kernel, factor.noiseModel())
-        softened.replace(i, factor.cloneWithNewNoiseModel(noise))
-    return gtsam.LevenbergMarquardtOptimizer(softened, initial).optimize()

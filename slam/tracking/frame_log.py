@@ -2,9 +2,10 @@
 """Every frame and the keyframe it was placed against: it is corrected when the keyframe is."""
 
 from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
 
@@ -47,8 +48,7 @@ def checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
     return T
 
 
-@dataclass(frozen=True)
-class _LoggedFrame:
+class _LoggedFrame(NamedTuple):
     timestamp_s: float
     keyframe_id: int
     T_kf_cam: FloatArray
@@ -75,9 +75,7 @@ class FrameLog:
 
     def trajectory(self, T_any_kf: FloatArray) -> Trajectory:
         """Return the frames whose keyframe is among (K, 4, 4) poses and not NaN there."""
-        frames = [
-            frame for frame in self._on(T_any_kf) if np.isfinite(T_any_kf[frame.keyframe_id, 0, 0])
-        ]
+        frames = self._on(np.isfinite(T_any_kf[:, 0, 0]))
         return Trajectory(
             timestamps_s=np.array([frame.timestamp_s for frame in frames]),
             T_world_cam=np.array([T_any_kf[each.keyframe_id] @ each.T_kf_cam for each in frames]),
@@ -85,20 +83,12 @@ class FrameLog:
 
     def unjoined_s(self, T_any_kf: FloatArray) -> FloatArray:
         """Return when the frames were taken whose keyframe is NaN among (K, 4, 4) poses."""
-        frames = [
-            frame for frame in self._on(T_any_kf) if np.isnan(T_any_kf[frame.keyframe_id, 0, 0])
-        ]
-        return np.array([frame.timestamp_s for frame in frames])
+        return np.array([frame.timestamp_s for frame in self._on(np.isnan(T_any_kf[:, 0, 0]))])
 
     def untracked_s(self, T_any_kf: FloatArray) -> FloatArray:
-        """Return when all frames were taken that have no place, in the order of time.
-
-        Those of keyframes that (K, 4, 4) poses leave out are among them.
-        """
-        left_out_s = [
-            frame.timestamp_s for frame in self._frames if frame.keyframe_id >= len(T_any_kf)
-        ]
-        return np.sort(np.concatenate([self._lost_s, self.unjoined_s(T_any_kf), left_out_s]))
+        """Return when all frames were taken that (K, 4, 4) poses give no place, in time order."""
+        every_s = [*self._lost_s, *(frame.timestamp_s for frame in self._frames)]
+        return np.setdiff1d(every_s, self.trajectory(T_any_kf).timestamps_s)
 
     def warnings(self, T_any_kf: FloatArray) -> tuple[str, ...]:
         """Return a sentence about the frames that were lost, and one about those not joined."""
@@ -110,18 +100,18 @@ class FrameLog:
             )
         unjoined_s = self.unjoined_s(T_any_kf)
         if len(unjoined_s):
+            start_s, beginning = self.trajectory(T_any_kf).timestamps_s[0], ""
+            if start_s != self._frames[0].timestamp_s:
+                beginning = (
+                    f"; the map is the part with the most frames, which begins at {start_s:.3f} s"
+                )
             warnings.append(
                 f"{len(unjoined_s)} of {total} frames, from {unjoined_s[0]:.3f} s to"
                 f" {unjoined_s[-1]:.3f} s, were tracked apart from the rest and are in no"
-                f" trajectory: too few loops agree where they belong{self._beginning(T_any_kf)}"
+                f" trajectory: too few loops agree where they belong{beginning}"
             )
         return tuple(warnings)
 
-    def _beginning(self, T_any_kf: FloatArray) -> str:
-        start_s = self.trajectory(T_any_kf).timestamps_s[0]
-        if start_s == self._frames[0].timestamp_s:
-            return ""
-        return f"; the map is the part with the most frames, which begins at {start_s:.3f} s"
-
-    def _on(self, T_any_kf: FloatArray) -> list[_LoggedFrame]:
-        return [frame for frame in self._frames if frame.keyframe_id < len(T_any_kf)]
+    def _on(self, chosen: NDArray[np.bool_]) -> list[_LoggedFrame]:
+        """Return the frames whose keyframe is chosen by a (K,) mask; later keyframes are not."""
+        return [f for f in self._frames if f.keyframe_id < len(chosen) and chosen[f.keyframe_id]]

@@ -75,15 +75,7 @@ def track_local_map(
     ids: IntArray,
     config: VerificationConfig,
 ) -> FramePose | Rejection:
-    """Look for landmarks close to where they should be, and let all of them refine the pose.
-
-    Args:
-        the_map: what is looked for.
-        view: where it is looked for.
-        T_map_cam: (4, 4), known already, more or less.
-        ids: (P,) the landmarks that may be in sight.
-        config: how many have to be found.
-    """
+    """Look for (P,) landmarks close to where they should be, and let all refine the (4, 4) pose."""
     pairs = the_map.search(view.grid, T_map_cam, ids, _RADIUS_PX)
     measured = Measurements.of(view.features, pairs[:, 1], the_map.camera)
     points_m = the_map.landmarks.positions_m[pairs[:, 0]]

@@ -11,15 +11,7 @@ from slam.types import Camera, FloatArray, Frame, Keyframe, Link, RelativePose
 
 
 class GivenPoses:
-    """Makes a keyframe of every frame, linked to the one before by the step between their poses.
-
-    Attributes:
-        door: what users call to get here.
-        map: none; nobody knows which landmarks the other odometry saw.
-    """
-
-    door = "add_keyframe"
-    map = None
+    """Makes a keyframe of every frame, linked to the one before by the step between their poses."""
 
     def __init__(self, camera: Camera, config: Config) -> None:
         self._extractor = FeatureExtractor(camera, config.features)

@@ -58,9 +58,7 @@ class MotionModel:
     def velocity(self, timestamp_s: float, shortest_s: float) -> FloatArray:
         """Return the (6,) tangent per second of the last step; zeros if that was too long ago.
 
-        Args:
-            timestamp_s: now.
-            shortest_s: no step really takes less, whatever its time stamps say.
+        No step really takes less than shortest_s, whatever its time stamps say.
         """
         is_over = timestamp_s - self.last_s > _STILL_CLOSE_S
         return np.zeros(6) if is_over else self._step / max(self._step_s, shortest_s)

@@ -39,30 +39,19 @@ _MOST_MODELS = 2  # a lost camera is looked for where the last two left it
 
 
 class RgbdOdometry:
-    """Tracks a camera frame by frame and decides which frames become keyframes.
-
-    Attributes:
-        door: what users call to get here.
-    """
-
-    door = "process"
+    """Tracks a camera frame by frame and decides which frames become keyframes."""
 
     def __init__(self, camera: Camera, config: Config) -> None:
         self._camera = camera
         self._config = config.odometry
         self._link_config = config.verification
         # A frame that follows its keyframe needs less evidence than a jump across the map.
-        self._tracking_config = config.verification.model_copy(
-            update={
-                "min_matches": config.odometry.min_inliers,
-                "min_inliers": config.odometry.min_inliers,
-                "min_inlier_ratio": 0.0,
-                "min_support": 0.0,
-            }
-        )
+        few = config.odometry.min_inliers
+        less = {"min_matches": few, "min_inliers": few, "min_inlier_ratio": 0.0, "min_support": 0.0}
+        self._tracking_config = config.verification.model_copy(update=less)
         # A jump needs as much as a loop, where a frame that follows does not need more.
-        fewest = max(config.odometry.min_inliers, config.verification.min_inliers)
-        self._jump_config = config.verification.model_copy(update={"min_inliers": fewest})
+        more = {"min_inliers": max(few, config.verification.min_inliers)}
+        self._jump_config = config.verification.model_copy(update=more)
         self._extractor = FeatureExtractor(camera, config.features)
         self._local_map = LocalMap(camera, config)
         self._worth_a_segment = _WORTH_A_SEGMENT * config.features.count
@@ -93,7 +82,11 @@ class RgbdOdometry:
         view = View(frame, features, FeatureGrid(features, self._camera))
         if not self._models:
             return self._start(view)
-        frame_pose = self._find(view)
+        frame_pose: FramePose | Rejection | None = None
+        if not self._models[-1].is_cold(frame.timestamp_s):
+            frame_pose = self._follow(view)
+        if not isinstance(frame_pose, FramePose):
+            frame_pose = self._relocalize(view)
         if isinstance(frame_pose, FramePose):
             return self._go_on(view, frame_pose)
         for model in self._models:
@@ -120,13 +113,6 @@ class RgbdOdometry:
         here = FramePose(np.eye(4), empty_pairs(), np.zeros((6, 6)))
         keyframe = self._insert(view, here, turning_rad_s=0.0)
         return TrackedFrame(keyframe.id, np.eye(4), keyframe)
-
-    def _find(self, view: View) -> FramePose | Rejection:
-        if not self._models[-1].is_cold(view.frame.timestamp_s):
-            frame_pose = self._follow(view)
-            if isinstance(frame_pose, FramePose):
-                return frame_pose
-        return self._relocalize(view)
 
     def _follow(self, view: View) -> FramePose | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
@@ -164,15 +150,14 @@ class RgbdOdometry:
             outcome = estimate_relative_pose(
                 keyframe.features, view.features, self._camera, config
             ).outcome
-            if isinstance(outcome, Rejection):
-                rejections.append(outcome)
-                continue
-            T_odom_cam = self.map.keyframes[keyframe.id].T_map_cam @ outcome.T_ref_query
-            seen_ids = self.map.seen_by([keyframe.id])
-            frame_pose = track_local_map(self.map, view, T_odom_cam, seen_ids, config)
-            if isinstance(frame_pose, FramePose):
-                return frame_pose
-            rejections.append(frame_pose)
+            if isinstance(outcome, RelativePose):
+                T_odom_cam = self.map.keyframes[keyframe.id].T_map_cam @ outcome.T_ref_query
+                seen_ids = self.map.seen_by([keyframe.id])
+                frame_pose = track_local_map(self.map, view, T_odom_cam, seen_ids, config)
+                if isinstance(frame_pose, FramePose):
+                    return frame_pose
+                outcome = frame_pose
+            rejections.append(outcome)
         return rejections[0]
 
     def _go_on(self, view: View, frame_pose: FramePose) -> TrackedFrame:
@@ -202,29 +187,27 @@ class RgbdOdometry:
 
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
         """Make a keyframe of the view, which stays where it was placed until the next frame."""
-        new_id = self._local_map.insert(
-            view.features, view.grid, frame_pose.T_map_cam, frame_pose.pairs
-        )
-        model = self._models[-1]
+        features, model, T_map_cam = view.features, self._models[-1], frame_pose.T_map_cam
+        new_id = self._local_map.insert(features, view.grid, T_map_cam, frame_pose.pairs)
         model.most_shared, self._near = 0, model.segment
         keyframe = new_keyframe(
-            new_id, view.frame, view.features, frame_pose.T_map_cam, turning_rad_s, model.segment
+            new_id, view.frame, features, T_map_cam, turning_rad_s, model.segment
         )
         model.recent = [*model.recent, keyframe][-1 - self._config.links :]
         return keyframe
 
     def _links(self, new: Keyframe, reference: Keyframe, motion: RelativePose) -> tuple[Link, ...]:
         """Link a new keyframe to its reference and to the other recent ones that see the same."""
-        motions = [(reference, motion)]
+        motions: list[tuple[Keyframe, RelativePose | Rejection]] = [(reference, motion)]
         for earlier in reversed(self._models[-1].recent[:-1]):
             if earlier.id != reference.id:
                 pairs = self.map.shared_features(earlier.id, new.id)
                 measured = measure_relative_pose(
                     earlier.features, new.features, pairs, self._camera, self._link_config
                 )
-                if isinstance(measured.outcome, RelativePose):
-                    motions.append((earlier, measured.outcome))
+                motions.append((earlier, measured.outcome))
         return tuple(
             Link(each.id, new.id, allow_for_turning(seen, each.turning_rad_s, new.turning_rad_s))
             for each, seen in motions
+            if isinstance(seen, RelativePose)
         )

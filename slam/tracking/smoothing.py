@@ -29,12 +29,7 @@ def smoothed(
     three frames in a row measure an acceleration of zero with those of the config. In effect what
     swings faster than about 2 Hz is taken for noise. Positions are along the three axes of the
     world; rotations are unit quaternions, whose second differences are, along the unit sphere, half
-    the angular acceleration.
-
-    Args:
-        trajectory: N frames, in the order of time.
-        config: what accelerations are expected.
-        session_starts_s: times at which the camera may have been put elsewhere.
+    the angular acceleration. Where a session starts, the camera may have been put elsewhere.
     """
     if len(trajectory) < 3:
         return trajectory

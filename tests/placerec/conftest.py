@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from placerec.datasets import PlaceDataset
-from placerec.evaluation import embeddings as embedding_cache
+from placerec.errors import RecognizerError
+from placerec.evaluation import embeddings
 from placerec.evaluation.bootstrap import Intervals
 from placerec.evaluation.measurement import Cost, Measured
 from placerec.evaluation.precision_recall import BestMatches, Curve, Evaluation
@@ -51,6 +52,19 @@ def write_image() -> Callable[..., Path]:
     return write
 
 
+@pytest.fixture(scope="session")
+def error_of() -> Callable[..., str]:
+    """Return what calls a function that must refuse, and returns its error of one line."""
+
+    def call(function: Callable[..., object], *arguments: object) -> str:
+        with pytest.raises(RecognizerError) as caught:
+            function(*arguments)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    return call
+
+
 def _varint(number: int) -> bytes:
     low, rest = number & 0x7F, number >> 7
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
@@ -88,7 +102,7 @@ def write_caffemodel() -> Callable[..., Path]:
 @pytest.fixture
 def later_run(monkeypatch) -> Callable[[], None]:
     """Return what makes all embeddings kept so far those of an earlier run."""
-    return lambda: monkeypatch.setattr(embedding_cache, "_STARTED_S", math.inf)
+    return lambda: monkeypatch.setattr(embeddings, "_STARTED_S", math.inf)
 
 
 @pytest.fixture(scope="session")
@@ -119,7 +133,7 @@ def measured(tmp_path_factory, write_image) -> Measured:
         weights="",
         trained_on=(),
         evaluation=evaluation,
-        intervals=Intervals((0.5, 0.9), (0.125, 0.6), resampled="images"),
+        intervals=Intervals((0.5, 0.9), (0.125, 0.6)),
         cost=Cost(embed_ms=12.34, compare_ms=0.000123, dimension=512, embedding_bytes=2048),
         timed_on=None,
     )

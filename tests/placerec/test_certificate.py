@@ -13,7 +13,7 @@ from placerec.certificate import (
     read_certificate,
     write_certificate,
 )
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError, RecognizerError
 from placerec.recognizers.gradients import GradientRecognizer
 
 
@@ -102,7 +102,7 @@ def test_missing_file_is_one_line(tmp_path):
 
 
 def test_folder_that_is_not_there_is_one_line(tmp_path, certificate):
-    with pytest.raises(RecognizerError, match=r"cannot write c\.json: No such file"):
+    with pytest.raises(LoopcloseError, match=r"cannot write c\.json: No such file"):
         write_certificate(certificate, tmp_path / "gone" / "c.json")
 
 

@@ -3,7 +3,10 @@ import numpy as np
 import pytest
 import torch
 
-from placerec.checked_recognizer import COSINES, flaw_in
+from placerec.checked_recognizer import COSINES, CheckedRecognizer, flaw_in
+from placerec.errors import RecognizerError
+
+IMAGE = np.zeros((4, 4, 3), np.uint8)
 
 
 def test_cosines_agree_with_double_precision_and_never_pass_one():
@@ -51,3 +54,142 @@ def test_what_is_wrong_with_an_answer_is_said(answer, flaw):
 
 def test_there_is_nothing_wrong_with_no_similarities():
     assert flaw_in(np.empty((0, 3), np.float32), (0, 3)) is None
+
+
+class Answers:
+    """A recognizer that returns the given answers one after the other."""
+
+    def __init__(self, *answers, min_similarity=0.5):
+        self.answers = list(answers)
+        self.min_similarity = min_similarity
+
+    def embed(self, image):
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def test_checked_answer_is_float32_and_exactly_unit():
+    checked = CheckedRecognizer(Answers([0.6, 0.8 + 5e-4]))
+    embedding = checked.embed(IMAGE)
+    assert embedding.dtype == np.float32
+    assert np.linalg.norm(embedding.astype(float)) == pytest.approx(1.0, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (np.array([np.nan, 1.0, np.inf]), "2 of 3 values that are NaN or infinite"),
+        (np.ones((1, 4)) / 2, "shape (1, 4)"),
+        (np.float32(1.0), "shape ()"),
+        (np.empty(0), "shape (0,)"),
+        (np.zeros(4), "length 0"),
+        (np.ones(4), "length 2"),
+        ("text", "a str that is not an array of numbers"),
+        (None, "NaN or infinite|shape"),
+        ({"a": 1}, "a dict"),
+        (RuntimeError("out of\nmemory"), "failed: RuntimeError: out of memory"),
+    ],
+)
+def test_bad_answer_is_one_line(answer, told, error_of):
+    checked = CheckedRecognizer(Answers(answer), "mine")
+    message = error_of(checked.embed, IMAGE)
+    assert message.startswith("recognizer 'mine'")
+    assert any(part in message for part in told.split("|"))
+
+
+def test_changing_dimension_is_refused(error_of):
+    checked = CheckedRecognizer(Answers(np.array([1.0, 0.0]), np.array([1.0, 0.0, 0.0])))
+    checked.embed(IMAGE)
+    assert "shape (3,) after (2,)" in error_of(checked.embed, IMAGE)
+
+
+def test_failure_keeps_its_cause():
+    cause = RuntimeError("boom")
+    with pytest.raises(RecognizerError) as caught:
+        CheckedRecognizer(Answers(cause)).embed(IMAGE)
+    assert caught.value.__cause__ is cause
+
+
+class Compares(Answers):
+    """A recognizer that compares its embeddings itself, and gives the given answer."""
+
+    def __init__(self, answer, *embeddings, **members):
+        super().__init__(*embeddings)
+        self.answer = answer
+        vars(self).update(members)
+
+    def compare(self, queries, references):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+ROWS = np.ones((2, 3, 4), np.float32)
+
+
+def test_what_compares_itself_may_embed_any_shape_but_always_the_same(error_of):
+    shapes = [np.full((3, 4), 5.0), np.full((3, 4), 6.0), np.full(12, 6.0)]
+    checked = CheckedRecognizer(Compares(np.zeros((2, 2)), *shapes))
+    for expected in shapes[:2]:
+        embedding = checked.embed(IMAGE)
+        assert embedding.dtype == np.float32
+        assert np.array_equal(embedding, expected)
+    assert "shape (12,) after (3, 4)" in error_of(checked.embed, IMAGE)
+
+
+@pytest.mark.parametrize("answer", [np.full((3, 4), np.nan), np.ones((3, 0)), 2.0])
+def test_what_compares_itself_embeds_finite_arrays(answer, error_of):
+    message = error_of(CheckedRecognizer(Compares(None, answer)).embed, IMAGE)
+    assert "12 of 12 values" in message or "an array of shape" in message
+
+
+def test_similarities_are_float32_within_their_bounds():
+    found = CheckedRecognizer(Compares([[1.0005, 0.5], [0.5, -1]])).compare(ROWS, ROWS)
+    assert found.dtype == np.float32
+    assert found.tolist() == [[1.0, 0.5], [0.5, -1.0]]
+
+
+def test_without_compare_it_is_the_cosine():
+    rows = np.float32([[1.0, 0.0], [0.6, 0.8]])
+    checked = CheckedRecognizer(Answers())
+    assert checked.compare(rows, rows) == pytest.approx(np.array([[1.0, 0.6], [0.6, 1.0]]))
+    assert checked.looks_back == 0
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (np.zeros((2, 3)), "shape (2, 3), not (queries, references) = (2, 2)"),
+        ([[np.nan, 0], [0, 1]], "1 of 4 similarities that are NaN or infinite"),
+        ([[40.0, 0], [0, 1]], "a similarity of 40"),
+        (None, "not an array of numbers|shape ()"),
+        (RuntimeError("out of\nmemory"), "failed to compare: RuntimeError: out of memory"),
+    ],
+)
+def test_a_misbehaving_compare_is_one_line(answer, told, error_of):
+    checked = CheckedRecognizer(Compares(answer), "mine")
+    message = error_of(checked.compare, ROWS, ROWS)
+    assert message.startswith("recognizer 'mine'")
+    assert any(part in message for part in told.split("|"))
+
+
+def test_how_far_it_looks_back(error_of):
+    assert CheckedRecognizer(Compares(None)).looks_back == 32
+    assert CheckedRecognizer(Compares(None, looks_back=0)).looks_back == 0
+    for wrong in (-1, 1.5, "all", None):
+        assert "looks_back" in error_of(CheckedRecognizer, Compares(None, looks_back=wrong))
+
+
+def test_compare_must_be_a_method(error_of):
+    recognizer = Answers()
+    recognizer.compare = 0.5
+    assert "compare that is no method" in error_of(CheckedRecognizer, recognizer)
+
+
+@pytest.mark.parametrize("threshold", [np.nan, 1.5, -2, np.inf, None, "high"])
+def test_threshold_must_be_a_cosine(threshold, error_of):
+    message = error_of(lambda: CheckedRecognizer(Answers(min_similarity=threshold)))
+    assert "min_similarity" in message
+    assert "-1 to 1" in message

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import re
-from importlib import import_module
 
 import pytest
 
 from placerec.__main__ import main
 from placerec.certificate import read_certificate
+from placerec.commands import evaluate
 
 
 def test_check_prints_a_table_and_passes(capsys):
@@ -49,7 +49,6 @@ def test_bad_usage(arguments):
 
 
 GRADIENTS = "placerec.recognizers.gradients:GradientRecognizer"
-evaluate = import_module("placerec.commands.evaluate")  # the name in the package is the function's
 
 
 @pytest.fixture

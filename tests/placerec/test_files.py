@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
-from placerec.files import write_atomically
-from slam.types import SlamError
+from placerec.errors import LoopcloseError
+from placerec.files import cache_folder, write_atomically
 
 
 def names_in(folder):
@@ -35,7 +36,7 @@ def test_a_failed_write_keeps_the_earlier_file(tmp_path, monkeypatch, code):
     path = tmp_path / "out.txt"
     path.write_text("earlier")
     monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(SlamError) as caught:
+    with pytest.raises(LoopcloseError) as caught:
         write_atomically(path, "later")
     assert os.strerror(code) in str(caught.value)
     assert str(caught.value).endswith(str(path))
@@ -55,9 +56,21 @@ def test_an_interrupted_write_leaves_nothing_behind(tmp_path, monkeypatch):
 
 
 def test_a_missing_folder_and_a_folder_in_the_way(tmp_path):
-    with pytest.raises(SlamError, match="No such file or directory"):
+    with pytest.raises(LoopcloseError, match="No such file or directory"):
         write_atomically(tmp_path / "absent" / "out.txt", "")
     (tmp_path / "out.txt").mkdir()
-    with pytest.raises(SlamError, match=r"cannot write out\.txt"):
+    with pytest.raises(LoopcloseError, match=r"cannot write out\.txt"):
         write_atomically(tmp_path / "out.txt", "")
     assert names_in(tmp_path) == ["out.txt"]
+
+
+def test_it_follows_the_convention_of_the_desktop(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "loopclose"
+
+
+@pytest.mark.parametrize("value", ["", "not/absolute"])  # which the convention says to ignore
+def test_without_a_usable_setting_it_is_under_the_home(monkeypatch, tmp_path, value):
+    monkeypatch.setenv("XDG_CACHE_HOME", value)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    assert cache_folder() == tmp_path / ".cache" / "loopclose"

@@ -36,9 +36,13 @@ def data() -> Path:
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a TUM folder of 60 frames, 8 s: a third of the room there, and back again.
 
-    There it shows every other rendered image, back the rest: no image is seen twice.
+    There it shows every other rendered image, back the rest: no image is seen twice. It is rendered
+    anew unless LOOPCLOSE_RENDERED names a folder for it, in which it is then found the next time.
     """
-    folder = tmp_path_factory.mktemp("rendered") / "recording"
+    folder = Path(os.environ.get("LOOPCLOSE_RENDERED", tmp_path_factory.mktemp("rendered")))
+    folder /= "recording"
+    if folder.exists():
+        return folder
     render_sequence(folder, seconds=FRAMES / 15.0, camera=SMALL_CAMERA)
     order = [*range(0, FRAMES, 2), *range(FRAMES - 1, 0, -2)]
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):

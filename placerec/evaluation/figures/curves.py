@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well methods do, as lines: over the threshold (Figures 5 to 8) and the dimension (12)."""
+"""Methods compared: precision and recall (Figures 5 to 8), dimension (12), cost (13-15)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,9 +9,11 @@ from matplotlib.figure import Figure
 from placerec.drawing import COLOURS, SOFT, canvas, line_styles
 from placerec.evaluation.precision_recall import Curve
 
-BAR_HEIGHT_IN, FRAME_HEIGHT_IN = 0.3, 0.8
-ROOM = 6.0
-"""The axis ends at so many times the longest bar, for the number behind it."""
+_BAR_HEIGHT_IN, _BARS_FRAME_IN = 0.3, 0.8
+_LINE_HEIGHT_IN, _LINES_FRAME_IN = 0.22, 3.6
+"""A line of the legend, and all the rest."""
+_NUMBER_SPACE = 6.0
+"""The axis ends at so many times the longest bar, so that its number fits in behind it."""
 
 
 def bars(
@@ -27,29 +29,23 @@ def bars(
     measured = [(name, value, COLOURS[0]) for name, value in values.items()]
     published = [(f"paper: {name}", value, SOFT) for name, value in (paper or {}).items()]
     every = measured + published
-    with canvas(FRAME_HEIGHT_IN + BAR_HEIGHT_IN * len(every)) as figure:
+    with canvas(_BARS_FRAME_IN + _BAR_HEIGHT_IN * len(every)) as figure:
         axes = figure.add_subplot(xlabel=label, xscale="log")
         names, lengths, colours = zip(*every, strict=True)
         drawn = axes.barh(range(len(every)), lengths, color=colours, height=0.65)
-        axes.bar_label(drawn, [_number(length) for length in lengths], padding=3, fontsize=9)
+        numbers = [f"{x:,.0f}" if x >= 100.0 else f"{x:.3g}" for x in lengths]
+        axes.bar_label(drawn, numbers, padding=3, fontsize=9)
         axes.set_yticks(range(len(every)), names)
         axes.tick_params("y", length=0)
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
-        axes.set_xlim(min(lengths) / ROOM, max(lengths) * ROOM)
+        axes.set_xlim(min(lengths) / _NUMBER_SPACE, max(lengths) * _NUMBER_SPACE)
     return figure
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
-
-
-PLOT_HEIGHT_IN, LINE_HEIGHT_IN = 3.6, 0.22
 
 
 def precision_recall(curves: Mapping[str, Curve], title: str = "") -> Figure:
     """Draw precision over recall, a line per method; the legend tells the area below each."""
-    with canvas(PLOT_HEIGHT_IN + LINE_HEIGHT_IN * len(curves)) as figure:
+    with canvas(_LINES_FRAME_IN + _LINE_HEIGHT_IN * len(curves)) as figure:
         axes = figure.add_subplot(xlabel="recall", ylabel="precision", title=title)
         for (name, curve), (colour, dashes) in zip(curves.items(), line_styles(), strict=False):
             # From recall 0 on: the first threshold recognises several at once where they tie.
@@ -69,20 +65,20 @@ def dimension_comparison(series: Mapping[str, Mapping[int, Sequence[float]]]) ->
         series: by method and by dimension, the average precision of each repetition (seed); the
             line goes through their means, the bars from the least to the largest.
     """
-    with canvas(PLOT_HEIGHT_IN + LINE_HEIGHT_IN * len(series)) as figure:
+    with canvas(_LINES_FRAME_IN + _LINE_HEIGHT_IN * len(series)) as figure:
         axes = figure.add_subplot(xlabel="dimension", ylabel="average precision", xscale="log")
         for (name, values), (colour, dashes) in zip(series.items(), line_styles(), strict=False):
             dimensions = sorted(values)
             runs = [np.array(values[dimension]) for dimension in dimensions]
             means = np.array([run.mean() for run in runs])
             spread = [means - [run.min() for run in runs], [run.max() for run in runs] - means]
+            look = f"o{dashes}"
             axes.errorbar(
                 dimensions,
                 means,
-                yerr=spread,
+                spread,
+                fmt=look,
                 color=colour,
-                linestyle=dashes,
-                marker="o",
                 markersize=4,
                 capsize=3,
                 label=name,

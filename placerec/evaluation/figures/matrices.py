@@ -9,20 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.drawing import GRID, SOFT, canvas
 
-MAX_CELLS = 400
+_MAX_CELLS = 400
 """A matrix with more rows or columns is thinned out before it is drawn."""
-NEAR_TO_FAR = "YlGnBu_r"
-FAINT, STRONG = 0.01, 0.99
+_NEAR_TO_FAR = "YlGnBu_r"
+_FAINT, _STRONG = 0.01, 0.99
 """Shares of the distances between which the colours change."""
-SAME, DIFFERENT, UNKNOWN = "#081d58", "#ffffd9", GRID
-MAP_SIZE_IN = 3.4
+_SAME, _DIFFERENT, _UNKNOWN = "#081d58", "#ffffd9", GRID
+_MAP_SIZE_IN = 3.4
 
 
 def heat_maps(
@@ -32,7 +31,7 @@ def heat_maps(
     count = 1 + len(similarities)
     columns = min(columns, count)
     rows = -(-count // columns)
-    with canvas(rows * (MAP_SIZE_IN + 0.3), columns * MAP_SIZE_IN, "compressed") as figure:
+    with canvas(rows * (_MAP_SIZE_IN + 0.3), columns * _MAP_SIZE_IN, "compressed") as figure:
         places = iter(figure.subplots(rows, columns, squeeze=False).flat)
         _paint_truth(next(places), dataset)
         for name, values in similarities.items():
@@ -44,14 +43,14 @@ def heat_maps(
 
 def truth_map(dataset: PlaceDataset) -> Figure:
     """Draw which queries and references show one place."""
-    with canvas(MAP_SIZE_IN + 0.3, MAP_SIZE_IN) as figure:
+    with canvas(_MAP_SIZE_IN + 0.3, _MAP_SIZE_IN) as figure:
         _paint_truth(figure.add_subplot(), dataset)
     return figure
 
 
 def distance_map(name: str, similarities: Similarities, dataset: PlaceDataset) -> Figure:
     """Draw a method's (Q, R) distances; bright is far apart."""
-    with canvas(MAP_SIZE_IN + 0.3, MAP_SIZE_IN) as figure:
+    with canvas(_MAP_SIZE_IN + 0.3, _MAP_SIZE_IN) as figure:
         _paint_distances(figure.add_subplot(), name, similarities, dataset)
     return figure
 
@@ -59,10 +58,8 @@ def distance_map(name: str, similarities: Similarities, dataset: PlaceDataset) -
 def _paint_truth(axes: Axes, dataset: PlaceDataset) -> None:
     kinds = np.where(dataset.comparable, np.where(dataset.same_place, 0, 1), 2)
     count = int(kinds.max()) + 1
-    colours = ListedColormap((SAME, DIFFERENT, UNKNOWN)[:count])
-    image = _paint(axes, "ground truth", kinds, colours)
-    image.set_clim(-0.5, count - 0.5)
-    bar = _bar(axes, image)
+    colours = ListedColormap((_SAME, _DIFFERENT, _UNKNOWN)[:count])
+    bar = _paint(axes, "ground truth", kinds, colours, (-0.5, count - 0.5))
     bar.set_ticks(range(count), labels=("same place", "different", "not compared")[:count])
     bar.ax.tick_params(length=0)
 
@@ -71,19 +68,10 @@ def _paint_distances(
     axes: Axes, name: str, similarities: Similarities, dataset: PlaceDataset
 ) -> None:
     distances = np.sqrt(np.maximum(2.0 - 2.0 * similarities.astype(np.float64), 0.0))
-    low, high = np.quantile(distances[dataset.comparable], [FAINT, STRONG])
-    image = _paint(axes, name, distances, NEAR_TO_FAR)
-    image.set_clim(low, max(high, low + 1e-9))
-    bar = _bar(axes, image)
+    low, high = np.quantile(distances[dataset.comparable], [_FAINT, _STRONG])
+    bar = _paint(axes, name, distances, _NEAR_TO_FAR, (low, max(high, low + 1e-9)))
     bar.set_label("distance", fontsize=8.5)
     bar.ax.locator_params(nbins=4)
-
-
-def _bar(axes: Axes, image: AxesImage) -> Colorbar:
-    bar = axes.figure.colorbar(image, ax=axes, location="bottom", aspect=30)
-    bar.ax.tick_params(labelsize=8.5)
-    bar.outline.set_edgecolor(SOFT)
-    return bar
 
 
 def _paint(
@@ -91,11 +79,14 @@ def _paint(
     title: str,
     values: NDArray[np.number[Any]],
     colours: str | ListedColormap,
-) -> AxesImage:
+    limits: tuple[float, float],
+) -> Colorbar:
+    """Draw a matrix with a bar of its colours below, and return the bar."""
     rows, columns = values.shape
     image = axes.imshow(
-        values[:: _step(rows), :: _step(columns)],
+        values[:: -(-rows // _MAX_CELLS), :: -(-columns // _MAX_CELLS)],
         cmap=colours,
+        clim=limits,
         interpolation="none",
         aspect="auto",
         extent=(-0.5, columns - 0.5, rows - 0.5, -0.5),
@@ -104,8 +95,7 @@ def _paint(
     axes.set_box_aspect(float(np.clip(rows / columns, 0.4, 1.0)))
     axes.set(title=title, xlabel="reference", ylabel="query")
     axes.locator_params(nbins=5)
-    return image
-
-
-def _step(size: int) -> int:
-    return max(-(-size // MAX_CELLS), 1)
+    bar = axes.figure.colorbar(image, ax=axes, location="bottom", aspect=30)
+    bar.ax.tick_params(labelsize=8.5)
+    bar.outline.set_edgecolor(SOFT)
+    return bar

@@ -2,10 +2,8 @@
 """The places that were recognised, on the way that the camera took (Figure 9)."""
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from placerec.datasets import PlaceDataset
 from placerec.drawing import RIGHT, SOFT, WIDTH_IN, WRONG, canvas
@@ -35,7 +33,11 @@ def recognised_places(
     with canvas(1.4 + 0.8 * WIDTH_IN * float(np.clip(height / width, 0.4, 1.1))) as figure:
         axes = figure.add_subplot(title=title)
         axes.set_aspect("equal", adjustable="datalim")
-        _paint_way(axes, dataset, plane_m)
+        ways = {"query": (dataset.queries, "-"), "reference": (dataset.references, "--")}
+        if np.array_equal(dataset.queries, dataset.references):
+            ways = {"way": (dataset.queries, "-")}
+        for label, (images, dashes) in ways.items():
+            axes.plot(*plane_m[images].T, color=SOFT, linestyle=dashes, linewidth=1.2, label=label)
         kept = matches.similarities >= threshold
         ends = np.stack(
             [dataset.queries[matches.queries], dataset.references[matches.references]], axis=1
@@ -50,12 +52,3 @@ def recognised_places(
         axes.set(xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
         figure.legend(loc="outside lower left", ncols=4)
     return figure
-
-
-def _paint_way(axes: Axes, dataset: PlaceDataset, plane_m: NDArray[np.float64]) -> None:
-    if np.array_equal(dataset.queries, dataset.references):
-        ways = {"way": (dataset.queries, "-")}
-    else:
-        ways = {"query": (dataset.queries, "-"), "reference": (dataset.references, "--")}
-    for label, (images, dashes) in ways.items():
-        axes.plot(*plane_m[images].T, color=SOFT, linestyle=dashes, linewidth=1.2, label=label)

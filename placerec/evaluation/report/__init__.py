@@ -1,6 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements as one page that needs no network."""
-
-from placerec.evaluation.report.page import render
-
-__all__ = ["render"]

@@ -13,13 +13,13 @@ from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
 from placerec.evaluation.precision_recall import BestMatches
 
-WIDTH_PX, HEIGHT_PX, GAP_PX = 300, 225, 6
+_WIDTH_PX, _HEIGHT_PX, _GAP_PX = 300, 225, 6
 """Each photograph of a pair is made to fit into this."""
-QUALITY = 75
+_QUALITY = 75
 
 
 @dataclass(frozen=True)
-class Drawing:
+class PageFigure:
     """A figure as a data address, and what it shows in words."""
 
     address: str
@@ -44,22 +44,24 @@ class Match:
     reference: str
 
 
-def drawing(svg: bytes, alt: str) -> Drawing:
+def page_figure(svg: bytes, alt: str) -> PageFigure:
     """Return an SVG file for a page."""
-    # A file of its own within the page: inner names of several drawings cannot get mixed up.
-    return Drawing(_address("image/svg+xml", svg), alt)
+    # A file of its own within the page: inner names of several figures cannot get mixed up.
+    return PageFigure(_address("image/svg+xml", svg), alt)
 
 
 def first_matches(dataset: PlaceDataset, matches: BestMatches) -> tuple[Match | None, Match | None]:
     """Return the most similar right and the most similar wrong match, None where there is none."""
-    right, wrong = matches.first(right=True), matches.first(right=False)
-    return (
-        None if right is None else _match(dataset, matches, right),
-        None if wrong is None else _match(dataset, matches, wrong),
-    )
+    right, wrong = (np.flatnonzero(matches.are_right == is_right) for is_right in (True, False))
+    return _most_similar(dataset, matches, right), _most_similar(dataset, matches, wrong)
 
 
-def _match(dataset: PlaceDataset, matches: BestMatches, index: int) -> Match:
+def _most_similar(
+    dataset: PlaceDataset, matches: BestMatches, among: NDArray[np.int64]
+) -> Match | None:
+    if among.size == 0:
+        return None
+    index = among[np.argmax(matches.similarities[among])]
     query = int(dataset.queries[matches.queries[index]])
     reference = int(dataset.references[matches.references[index]])
     try:
@@ -76,13 +78,13 @@ def _match(dataset: PlaceDataset, matches: BestMatches, index: int) -> Match:
 
 
 def _side_by_side(query: NDArray[np.uint8], reference: NDArray[np.uint8]) -> bytes:
-    canvas = Image.new("RGB", (2 * WIDTH_PX + GAP_PX, HEIGHT_PX), "white")
-    for left, photograph in ((0, query), (WIDTH_PX + GAP_PX, reference)):
-        image = ImageOps.contain(Image.fromarray(photograph), (WIDTH_PX, HEIGHT_PX))
-        middle = ((WIDTH_PX - image.width) // 2 + left, (HEIGHT_PX - image.height) // 2)
-        canvas.paste(image, middle)
+    pair = Image.new("RGB", (2 * _WIDTH_PX + _GAP_PX, _HEIGHT_PX), "white")
+    for left, photograph in ((0, query), (_WIDTH_PX + _GAP_PX, reference)):
+        image = ImageOps.contain(Image.fromarray(photograph), (_WIDTH_PX, _HEIGHT_PX))
+        middle = ((_WIDTH_PX - image.width) // 2 + left, (_HEIGHT_PX - image.height) // 2)
+        pair.paste(image, middle)
     jpeg = BytesIO()
-    canvas.save(jpeg, "JPEG", quality=QUALITY)
+    pair.save(jpeg, "JPEG", quality=_QUALITY)
     return jpeg.getvalue()
 
 

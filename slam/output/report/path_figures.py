@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from placerec.drawing import AFTER, BEFORE, INK, LOST, TRUTH, WIDTH_IN, WRONG, draw
 from slam.evaluation.drift import DriftReport
-from slam.output.report.decision import ACCEPTED, FALSE, Decision
+from slam.output.decision import ACCEPTED, FALSE, Decision
 from slam.output.report.paths import SESSION_GAP_S, Paths, broken
 from slam.result import SlamResult
 from slam.types import FloatArray
@@ -39,14 +39,10 @@ def path_view(paths: Paths, loops: list[Decision], plane: tuple[int, int]) -> Ma
             axes.invert_yaxis()
 
     alt = f"Camera paths before and after loop closure, projected on the {across} and {up} axes"
-    return draw(f"path-{across}{up}", alt, paint, height_in=_height_in(paths, plane))
-
-
-def _height_in(paths: Paths, plane: tuple[int, int]) -> float:
-    """Return a drawing height that suits the shape of the paths."""
     points = np.concatenate([paths.before_m, paths.after_m, paths.truth_m])
     width, height = np.ptp(points[:, plane], axis=0) if len(points) else (1.0, 1.0)
-    return float(1.0 + 0.84 * WIDTH_IN * np.clip(height / max(width, 1e-9), 0.35, 1.1))
+    height_in = float(1.0 + 0.84 * WIDTH_IN * np.clip(height / max(width, 1e-9), 0.35, 1.1))
+    return draw(f"path-{across}{up}", alt, paint, height_in)
 
 
 def _draw_loops(axes: Axes, paths: Paths, loops: list[Decision], plane: tuple[int, int]) -> None:
@@ -73,52 +69,49 @@ def _mark_start_and_losses(axes: Axes, paths: Paths, plane: tuple[int, int]) -> 
         axes.plot(*spots, "x", color=LOST, ms=7, mew=2, label="tracking lost")
 
 
-def error_over_time(paths: Paths, drift: DriftReport, loops: list[Decision]) -> Markup:
-    """Draw the position error along time, before and after loop closure."""
+def error_over_time(
+    paths: Paths, result: SlamResult, drift: DriftReport | None, loops: list[Decision]
+) -> Markup:
+    """Draw the position error along time, before and after loop closure.
 
-    def paint(axes: Axes) -> None:
-        for error, colour, label in (
-            (drift.before, BEFORE, "odometry"),
-            (drift.after, AFTER, "corrected"),
-        ):
-            times, errors = broken(paths.elapsed_s(error.timestamps_s), error.position_errors_m)
-            axes.plot(times, 100 * errors, color=colour, lw=1.4, label=label)
-        axes.set_ylabel("position error (cm)")
-        _mark_times(axes, paths, loops)
-
-    alt = "Position error along time before and after loop closure; triangles mark closed loops"
-    return draw("error", alt, paint)
-
-
-def correction_over_time(paths: Paths, result: SlamResult, loops: list[Decision]) -> Markup:
-    """Draw how far loop closure moved each frame, for runs without ground truth."""
-
-    def paint(axes: Axes) -> None:
+    Without ground truth, `drift` None, draw how far loop closure moved each frame.
+    """
+    if drift is not None:
+        what, label = "Position error along time before and after loop closure", "position error"
+        curves = [
+            (paths.elapsed_s(error.timestamps_s), error.position_errors_m, colour, name)
+            for error, colour, name in (
+                (drift.before, BEFORE, "odometry"),
+                (drift.after, AFTER, "corrected"),
+            )
+        ]
+    else:
+        what, label = "How far loop closure moved each frame along time", "odometry to corrected"
         shift = result.trajectory.T_world_cam - result.odometry.T_world_cam
-        moved = np.linalg.norm(shift[:, :3, 3], axis=1)
-        times, moved = broken(paths.times_s, moved)
-        axes.plot(times, 100 * moved, color=AFTER, lw=1.4, label="correction")
-        axes.set_ylabel("odometry to corrected (cm)")
+        moved_m = np.linalg.norm(shift[:, :3, 3], axis=1)
+        curves = [(paths.times_s, moved_m, AFTER, "correction")]
+
+    def paint(axes: Axes) -> None:
+        for times_s, lengths_m, colour, name in curves:
+            times, lengths = broken(times_s, lengths_m)
+            axes.plot(times, 100 * lengths, color=colour, lw=1.4, label=name)
+        axes.set_ylabel(f"{label} (cm)")
         _mark_times(axes, paths, loops)
 
-    alt = "How far loop closure moved each frame along time; triangles mark closed loops"
-    return draw("error", alt, paint)
+    return draw("error", f"{what}; triangles mark closed loops", paint)
 
 
 def _mark_times(axes: Axes, paths: Paths, loops: list[Decision]) -> None:
     """Mark untracked frames, and put a tick at every keyframe that closed a loop."""
-    later_starts = paths.elapsed_s(paths.session_starts_s)[1:]
+    later_starts = paths.session_starts_s[1:]
     axes.set_xlabel("time (s), without the breaks" if len(later_starts) else "time (s)")
     for start in later_starts:
         axes.axvline(start - 0.5 * SESSION_GAP_S, color=INK, lw=0.8, ls=":")
-    axes.tick_params("x", pad=9)  # room for the triangles
+    axes.tick_params("x", pad=9)  # space for the triangles
     axes.set_ylim(bottom=0)
     if len(paths.lost_s):
-        low = np.zeros(len(paths.lost_s))
         edge = axes.get_xaxis_transform()
-        axes.vlines(
-            paths.lost_s, low, low + 1, color=LOST, lw=1.2, transform=edge, label="not tracked"
-        )
+        axes.vlines(paths.lost_s, 0, 1, color=LOST, lw=1.2, transform=edge, label="not tracked")
     for kind, colour in _LOOP_COLOURS.items():
         closed = [loop.query.timestamp_s for loop in loops if loop.kind == kind]
         if closed:

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from placerec.drawing import AFTER, BEFORE, INK, TRUTH, WRONG, draw
-from slam.output.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision
+from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
 from slam.output.report.paths import Paths
 from slam.result import Calibration, SlamResult
 
-MAX_CELLS = 400
+_MAX_CELLS = 400
 """A matrix with more rows than this is thinned out before it is drawn."""
 
 _REJECTED = "rejected"
@@ -29,13 +29,8 @@ def similarity_matrix(result: SlamResult, loops: list[Decision]) -> Markup:
     """Draw how similar all keyframes look, with the loop attempts on top."""
     size = len(result.keyframes)
     values = result.similarities[:: _step(size), :: _step(size)]
-
-    def paint(axes: Axes) -> None:
-        _heat_map(axes, values, size, "similarity", "Greys")
-        _overlay(axes, loops)
-
     alt = "Heat map of the similarity of all pairs of keyframes, with accepted and rejected loops"
-    return draw("similarity", alt, paint, height_in=5.6)
+    return _matrix("similarity", alt, values, size, "similarity", "Greys", loops)
 
 
 def distance_matrix(paths: Paths, loops: list[Decision]) -> Markup:
@@ -44,60 +39,61 @@ def distance_matrix(paths: Paths, loops: list[Decision]) -> Markup:
     points = paths.keyframe_truth_m if paths.has_keyframe_truth else paths.keyframes_m
     points = points[:: _step(size)]
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-
-    def paint(axes: Axes) -> None:
-        _heat_map(axes, distances, size, "distance (m)", "Greys_r")
-        _overlay(axes, loops)
-
     source = "ground truth" if paths.has_keyframe_truth else "the corrected trajectory"
     alt = f"Heat map of the distance between all pairs of keyframes by {source}"
-    return draw("distance", alt, paint, height_in=5.6)
+    return _matrix("distance", alt, distances, size, "distance (m)", "Greys_r", loops)
 
 
 def _step(size: int) -> int:
-    return max(-(-size // MAX_CELLS), 1)
+    return max(-(-size // _MAX_CELLS), 1)
 
 
-def _heat_map(
-    axes: Axes, values: NDArray[np.floating[Any]], size: int, label: str, colours: str
-) -> None:
-    """Draw a square matrix over keyframe ids 0 to size - 1, blank where NaN."""
-    image = axes.imshow(
-        np.ma.masked_invalid(values),
-        cmap=colours,
-        interpolation="none",
-        extent=(-0.5, size - 0.5, size - 0.5, -0.5),
-    )
-    axes.grid(visible=False)
-    axes.set_xlabel("earlier keyframe")
-    axes.set_ylabel("later keyframe")
-    bar = axes.figure.colorbar(
-        image, ax=axes, label=label, location="bottom", shrink=0.7, aspect=35
-    )
-    bar.ax.locator_params(nbins=5)
+def _matrix(
+    name: str,
+    alt: str,
+    values: NDArray[np.floating[Any]],
+    size: int,
+    label: str,
+    colours: str,
+    loops: list[Decision],
+) -> Markup:
+    """Draw a square matrix over keyframe ids 0 to size - 1, blank where NaN.
 
+    The attempts are marked below the diagonal: row = query, column = earlier match.
+    """
 
-def _overlay(axes: Axes, loops: list[Decision]) -> None:
-    """Mark the attempts below the diagonal: row = query, column = earlier match."""
-    for group, (marker, colour, size, width) in _MARKERS.items():
-        pairs = np.array(
-            [
-                (loop.match.id, loop.query.id)
-                for loop in loops
-                if (loop.kind if loop.kind in _MARKERS else _REJECTED) == group
-            ]
+    def paint(axes: Axes) -> None:
+        image = axes.imshow(
+            np.ma.masked_invalid(values),
+            cmap=colours,
+            interpolation="none",
+            extent=(-0.5, size - 0.5, size - 0.5, -0.5),
         )
-        if len(pairs):
-            axes.plot(
-                *pairs.T,
-                marker,
-                color=colour,
-                ms=size,
-                mew=width,
-                mfc="none",
-                label=f"{group} ({len(pairs)})",
-                rasterized=len(pairs) > 3000,
-            )
+        axes.grid(visible=False)
+        axes.set_xlabel("earlier keyframe")
+        axes.set_ylabel("later keyframe")
+        bar = axes.figure.colorbar(
+            image, ax=axes, label=label, location="bottom", shrink=0.7, aspect=35
+        )
+        bar.ax.locator_params(nbins=5)
+        pairs: dict[str, list[tuple[int, int]]] = {group: [] for group in _MARKERS}
+        for loop in loops:
+            group = loop.kind if loop.kind in _MARKERS else _REJECTED
+            pairs[group].append((loop.match.id, loop.query.id))
+        for group, (marker, colour, marker_size, width) in _MARKERS.items():
+            if count := len(pairs[group]):
+                axes.plot(
+                    *np.transpose(pairs[group]),
+                    marker,
+                    color=colour,
+                    ms=marker_size,
+                    mew=width,
+                    mfc="none",
+                    label=f"{group} ({count})",
+                    rasterized=count > 3000,
+                )
+
+    return draw(name, alt, paint, height_in=5.6)
 
 
 def similarity_histogram(loops: list[Decision], min_similarity: float) -> Markup:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from placerec.conformance import CHECKS
+from placerec.conformance.examination import CHECKS
 
 HERE = Path(__file__).parent
 PYPROJECT = tomllib.loads((HERE.parents[2] / "pyproject.toml").read_text())
@@ -22,7 +22,7 @@ def run_pytest(tmp_path):
     (installed / "METADATA").write_text("Name: loopclose\nVersion: 0\n")
     plugin = PYPROJECT["project"]["entry-points"]["pytest11"]["placerec"]
     (installed / "entry_points.txt").write_text(f"[pytest11]\nplacerec = {plugin}\n")
-    paths = [str(installed.parent), str(HERE / "conformance"), *sys.path]
+    paths = [str(installed.parent), str(HERE), *sys.path]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in paths if path)}
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:dash"]
 

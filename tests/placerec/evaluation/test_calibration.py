@@ -92,7 +92,7 @@ def test_curve_holds_the_threshold_and_ends_with_all_recalled(certificate):
 
 
 def test_long_curve_is_thinned_out(dataset, embeddings, monkeypatch):
-    monkeypatch.setattr(calibration, "CURVE_POINTS", 10)
+    monkeypatch.setattr(calibration, "_CURVE_POINTS", 10)
     certificate = calibrate("gradients", GradientRecognizer(), dataset, embeddings)
     assert 10 <= len(certificate.curve) <= 11
     assert certificate.threshold in [point[0] for point in certificate.curve]
@@ -134,7 +134,7 @@ def signs_of_twelve_places():
 @pytest.mark.parametrize("tied", [True, False])
 def test_intervals_agree_with_a_naive_bootstrap(dataset, embeddings, monkeypatch, labelled, tied):
     monkeypatch.setattr(bootstrap, "RESAMPLES", 20)
-    monkeypatch.setattr(calibration, "BLOCK", 7)
+    monkeypatch.setattr(calibration, "_BLOCK", 7)
     if tied:
         embeddings = signs_of_twelve_places()
     if not labelled:

@@ -85,14 +85,13 @@ def test_best_matches_by_hand():
     assert best.queries.tolist() == [0, 1, 2, 3]
     assert best.references.tolist() == [0, 0, 1, 0]
     assert best.are_right.tolist() == [True, False, True, False]
-    assert (best.first(right=True), best.first(right=False)) == (0, 1)
 
 
 def test_a_query_without_any_comparable_reference_has_no_best_match():
     truth = two_drives([[1, 0], [1, 0]], [[1, 1], [0, 0]])
     best = best_matches(HAND_SIMILARITIES, truth)
     assert best.queries.tolist() == [0]
-    assert best.first(right=False) is None
+    assert best.are_right.tolist() == [True]
 
 
 def test_the_wrong_one_of_two_equal_references_is_the_best_match():

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+import csv
 from dataclasses import replace
 from datetime import date
 
 from placerec.evaluation.measurement import Failed
-from placerec.evaluation.tables import HEADER, evaluation_table, notes
+from placerec.evaluation.tables import evaluation_csv, evaluation_table, notes
 
 
 def test_markdown_table_lines_up(measured):
@@ -12,7 +13,7 @@ def test_markdown_table_lines_up(measured):
     assert len({len(line) for line in lines}) == 1
     assert len(lines) == 4
     cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
-    assert len(cells) == len(HEADER)
+    assert len(cells) == 12
     assert " ".join(cells) == "walk short 0.750 0.250 0.500 0.750 0.500 0.625 512 2.0 12.3 0.123"
     assert set(lines[1]) == set("|-: ")
 
@@ -37,3 +38,47 @@ def test_what_the_table_does_not_say_is_noted_below(measured):
         "* timed when the kept embeddings were made, the oldest on 2026-02-03; "
         "--no-cache makes them anew",
     ]
+
+
+def test_every_figure_is_in_full_under_its_name(measured):
+    kept = replace(measured, weights="two, words", trained_on=("walk",), timed_on=date(2026, 2, 3))
+    rows = list(csv.DictReader(evaluation_csv([measured, kept]).splitlines()))
+    assert rows[0] == {
+        "data": "walk",
+        "recognizer": "short",
+        "weights": "",
+        "trained_on": "",
+        "images": "4",
+        "pairs": "4",
+        "average_precision": "0.75",
+        "average_precision_low": "0.5",
+        "average_precision_high": "0.9",
+        "recall_at_1": "0.25",
+        "recall_at_5": "0.5",
+        "recall_at_10": "0.75",
+        "recall_at_full_precision": "0.5",
+        "recall_at_full_precision_low": "0.125",
+        "recall_at_full_precision_high": "0.6",
+        "best_match_area": "0.625",
+        "dimension": "512",
+        "bytes_per_place": "2048",
+        "embed_ms": "12.34",
+        "embed_timed_on": "",
+        "compare_ms": "0.000123",
+        "failure": "",
+    }
+    marks = [rows[1][name] for name in ("weights", "trained_on", "embed_timed_on")]
+    assert marks == ["two, words", "walk", "2026-02-03"]
+
+
+def test_a_failure_has_no_figures(measured):
+    (row,) = csv.DictReader(evaluation_csv([Failed(measured.dataset, "x", "a, b")]).splitlines())
+    assert {name for name, value in row.items() if value} == {
+        "data",
+        "recognizer",
+        "images",
+        "pairs",
+        "failure",
+    }
+    assert row["failure"] == "a, b"
+    assert evaluation_csv([measured]).startswith(",".join(row) + "\n")

@@ -4,7 +4,15 @@ import pytest
 import torch
 
 from placerec.errors import RecognizerError
-from placerec.networks.pooling import RUNNER_UP, Vlad, find_words
+from placerec.networks.pooling import (
+    FAINT,
+    POSITION_WEIGHT,
+    RUNNER_UP,
+    Covariance,
+    Vlad,
+    WhitenedLinear,
+    find_words,
+)
 
 
 def naive_vlad(layer, maps):
@@ -83,3 +91,48 @@ def test_it_learns():
     loss.backward()
     for parameter in layer.parameters():
         assert parameter.grad.abs().max() > 0.0
+
+
+def _maps(seed=0, shape=(2, 3, 4, 5)):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def test_covariance_is_the_rooted_covariance_of_channels_and_position():
+    maps = _maps()
+    rows, columns = np.meshgrid(
+        *(POSITION_WEIGHT * np.linspace(-1, 1, size) for size in (4, 5)), indexing="ij"
+    )
+    found = Covariance()(maps)
+    for image, values in zip(maps.numpy(), found.numpy(), strict=True):
+        channels = np.stack([*image, rows, columns]).reshape(5, -1)
+        expected = np.cov(channels, bias=True)
+        expected = np.sign(expected) * (np.sqrt(np.abs(expected) + FAINT) - np.sqrt(FAINT))
+        np.testing.assert_allclose(values, expected[np.triu_indices(5)], atol=1e-5)
+
+
+def test_what_is_elsewhere_changes_of_the_covariance_only_the_shares_of_position():
+    maps = _maps(shape=(1, 3, 4, 5))
+    moved = maps.roll((1, 2), dims=(2, 3))
+    rows, columns = torch.triu_indices(5, 5)
+    is_of_channels = (rows < 3) & (columns < 3)
+    difference = (Covariance()(moved) - Covariance()(maps))[0].abs()
+    assert difference[is_of_channels].max() < 1e-5
+    assert difference[~is_of_channels].max() > 0.01
+
+
+def test_gradient_of_the_covariance_is_finite_where_nothing_varies():
+    maps = torch.zeros(1, 2, 3, 3, requires_grad=True)
+    Covariance()(maps).sum().backward()
+    assert torch.isfinite(maps.grad).all()
+
+
+def test_whitened_linear_sees_its_input_centred_and_whitened():
+    layer = WhitenedLinear(3, 2, 1)
+    with torch.no_grad():
+        layer.mean.copy_(torch.tensor([1.0, 2.0, 3.0]))
+        layer.whitening.copy_(torch.tensor([[2.0, 0.0, 0.0], [0.0, 0.0, 0.5]]))
+        layer.weight.copy_(torch.tensor([[10.0, 100.0]]))
+        layer.bias.copy_(torch.tensor([7.0]))
+    values = torch.tensor([[2.0, 9.0, 5.0]])  # centred (1, 7, 2), white (2, 1)
+    assert layer(values).item() == 10 * 2 + 100 * 1 + 7
+    torch.testing.assert_close(layer.merged()(values), layer(values))

@@ -10,10 +10,10 @@ from placerec.certificate import certificate_of
 from placerec.conformance import check
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
-from placerec.networks.preprocessing import IMAGENET_MEAN, IMAGENET_SCALE
+from placerec.networks.preprocessing import TORCHVISION_INPUT
 from placerec.recognizers import netvlad
-from placerec.recognizers.fitted_file import read_fitted, write_fitted
-from placerec.recognizers.netvlad import PUBLISHED, SHIPPED, NetVlad, whitening
+from placerec.recognizers.fitted_file import read_fitted, shipped, write_fitted
+from placerec.recognizers.netvlad import PUBLISHED, NetVlad, whitening
 
 SIZE_PX = (64, 48)
 
@@ -50,7 +50,7 @@ def by_hand(state, image):
     """Return the residuals of the last convolution before its ReLU to the words, by the paper."""
     layers = TRUNKS["vgg16"].layers("conv5_3")[:-1]
     layers.load_state_dict({name[8:]: v for name, v in state.items() if name.startswith("encoder")})
-    values = (image.astype(np.float32) - IMAGENET_MEAN) / IMAGENET_SCALE
+    values = (image.astype(np.float32) - TORCHVISION_INPUT.mean) / TORCHVISION_INPUT.scale
     with torch.inference_mode():
         maps = layers(torch.from_numpy(values.astype(np.float32)).permute(2, 0, 1)[None])[0]
     words = state["pool.centroids"].double().numpy()
@@ -169,8 +169,9 @@ def test_without_weights_it_says_what_to_do(machine):
 
 
 def test_what_comes_with_the_package_is_small_and_fits_the_layer():
-    assert SHIPPED.stat().st_size < 1 << 20
-    arrays = read_fitted(SHIPPED, "netvlad").arrays
+    path = shipped("netvlad")
+    assert path.stat().st_size < 1 << 20
+    arrays = read_fitted(path, "netvlad").arrays
     assert arrays["vlad.centroids"].shape == (64, 16)
     assert arrays["local.weight"].shape == (16, 256, 1, 1)
     assert arrays["whitening.weight"].shape == (448, 64 * 16)

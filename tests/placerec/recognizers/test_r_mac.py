@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from placerec.certificate import certificate_of
 from placerec.conformance import check
 from placerec.errors import RecognizerError
 from placerec.recognizers.fitted_file import write_fitted
@@ -105,6 +106,11 @@ def test_an_image_of_one_colour_is_like_itself(recognizer):
 def test_it_conforms_but_for_what_random_filters_make_of_changed_images(recognizer):
     failed = {one.check.name for one in check(recognizer).findings if one.failed}
     assert failed <= {"darker and brighter", "shifted by 16 pixels"}
+
+
+def test_what_is_shipped_comes_with_its_certificate(real_weights):
+    recognizer = RMac()
+    assert certificate_of(recognizer).min_similarity == recognizer.min_similarity
 
 
 def test_it_says_what_it_runs_on_and_what_it_needs(recognizer, machine, monkeypatch):

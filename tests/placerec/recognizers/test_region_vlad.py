@@ -8,8 +8,8 @@ from placerec.certificate import certificate_of
 from placerec.conformance import check
 from placerec.errors import RecognizerError
 from placerec.recognizers import region_vlad
-from placerec.recognizers.fitted_file import read_fitted, write_fitted
-from placerec.recognizers.region_vlad import SHIPPED, RegionVlad, residuals, salient_regions
+from placerec.recognizers.fitted_file import read_fitted, shipped, write_fitted
+from placerec.recognizers.region_vlad import RegionVlad, residuals, salient_regions
 
 
 @pytest.fixture
@@ -117,5 +117,6 @@ def test_too_few_images_are_refused(weights, photographs, monkeypatch):
 
 
 def test_what_comes_with_the_package_is_small_and_fits_the_layer():
-    assert SHIPPED.stat().st_size < 1 << 20
-    assert read_fitted(SHIPPED, "region-vlad").arrays["words"].shape == (256, 256)
+    path = shipped("region-vlad")
+    assert path.stat().st_size < 1 << 20
+    assert read_fitted(path, "region-vlad").arrays["words"].shape == (256, 256)

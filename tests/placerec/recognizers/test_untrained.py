@@ -7,8 +7,8 @@ import pytest
 from placerec.conformance import check
 from placerec.errors import RecognizerError
 from placerec.recognizers.feature_maps import find_maps
-from placerec.recognizers.fitted_file import read_fitted, write_fitted
-from placerec.recognizers.untrained import LAYER, SHIPPED, UntrainedLayer
+from placerec.recognizers.fitted_file import read_fitted, shipped, write_fitted
+from placerec.recognizers.untrained import LAYER, UntrainedLayer
 
 
 @pytest.fixture
@@ -53,4 +53,4 @@ def test_what_comes_with_the_package_is_of_other_weights_than_these(weights):
 
 
 def test_what_comes_with_the_package_fits_the_layer(machine):
-    assert read_fitted(SHIPPED, "untrained").arrays["mean"].shape == (320, 5, 6)
+    assert read_fitted(shipped("untrained"), "untrained").arrays["mean"].shape == (320, 5, 6)

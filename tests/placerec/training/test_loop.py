@@ -12,13 +12,12 @@ import pytest
 import torch
 from torch import nn
 
-import placerec.training.loop as training_module
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError, RecognizerError
 from placerec.networks import PlaceNetwork, Preprocessing, Trunk
 from placerec.networks.whitening import whiten
+from placerec.training import loop
 from placerec.training.config import Loss, TrainingConfig
 from placerec.training.image_sets import ImageSets, build_image_sets
-from placerec.training.images import Augmentation
 from placerec.training.loop import End, Training
 
 ROOT = Path(__file__).parents[3]
@@ -90,14 +89,14 @@ def test_learns_to_tell_places_apart(tmp_path, loss):
 
 def test_ends_when_no_set_can_be_formed(tmp_path):
     images = Boards(places=6, views=3)
-    training, records = _train(tmp_path / "run", images, max_steps=2000, images_per_place=None)
+    training, records = _train(tmp_path / "run", images, max_steps=2000, images_per_place=99)
     assert training.end is End.LEARNED
     assert len(records) < 2000
     assert records[-1].sets_left == 0
 
 
 def test_ends_on_a_budget_of_time(tmp_path):
-    training, records = _train(tmp_path / "run", max_seconds=1e-9)
+    training, records = _train(tmp_path / "run", minutes=1e-9)
     assert training.end is End.SECONDS
     assert records == []
 
@@ -128,9 +127,9 @@ def test_same_seed_same_network_and_the_callers_random_numbers_are_left_alone(tm
     "config",
     [
         {},
-        {"augmentation": Augmentation()},
+        {"augment": True},
         {"frozen_block": "first"},
-        {"frozen_block": "first", "augmentation": Augmentation(), "loss": Loss.TRIPLET},
+        {"frozen_block": "first", "augment": True, "loss": Loss.TRIPLET},
     ],
 )
 def test_stopping_and_going_on_changes_nothing(tmp_path, config):
@@ -147,12 +146,14 @@ KILLED = """
     import sys
     sys.path[:0] = [{root!r}, {tests!r}]
     from pathlib import Path
-    from test_training import TINY, Boards, FAST
+    from test_loop import TINY, Boards, FAST
     from placerec.networks import PlaceNetwork
     from placerec.training.loop import Training
     from placerec.training.config import TrainingConfig
+    from placerec.training import loop
     import os, signal
-    config = TrainingConfig(**FAST, max_steps=9, checkpoint_interval_s=0.0)
+    loop.CHECKPOINT_INTERVAL_S = 0.0
+    config = TrainingConfig(**FAST, max_steps=9)
     for record in Training(PlaceNetwork(TINY, 16), Boards(), config, Path({folder!r})):
         if record.step == 5:
             os.kill(os.getpid(), signal.SIGKILL)
@@ -188,14 +189,14 @@ TORCHRUN = """
     from pathlib import Path
     import torch
     from torch import nn
-    from test_training import TINY, Boards, FAST
+    from test_loop import TINY, Boards, FAST
     from placerec.networks import PlaceNetwork, Trunk
     from placerec.training.loop import Training
     from placerec.training.config import TrainingConfig
     from placerec.training.workers import Workers
     workers = Workers()
     assert workers.count == 2
-    config = TrainingConfig(**FAST, max_steps=6, max_seconds=1000.0)
+    config = TrainingConfig(**FAST, max_steps=6, minutes=20.0)
     network = PlaceNetwork(TINY, 16).eval()
     network.features[4].p = 0.0
     for record in Training(network, Boards(), config, Path({folder!r}), workers=workers):
@@ -267,7 +268,7 @@ class _Breaks(nn.Module):
 
 
 def test_learning_rate_rises_then_falls_to_zero(tmp_path):
-    _, records = _train(tmp_path / "run", max_steps=120, gamma=0.0, gamma_prime=4.0)
+    _, records = _train(tmp_path / "run", max_steps=120, gamma_prime=4.0)
     rates = np.array([record.learning_rate for record in records])
     top = int(rates.argmax())
     assert 30 < top < 60
@@ -300,11 +301,12 @@ def test_one_scene_without_sets_is_not_the_end(tmp_path):
     assert records[-1].round > 3  # those without a set were gone through
 
 
-def test_nan_loss_stops_and_leaves_the_last_good_checkpoint(tmp_path):
+def test_nan_loss_stops_and_leaves_the_last_good_checkpoint(tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "CHECKPOINT_INTERVAL_S", 0.0)
     trunk = Trunk("breaks", lambda: _Breaks(4), TINY.preprocessing)
     network = PlaceNetwork(trunk, 8).eval()
     with pytest.raises(RecognizerError, match="broke down at step 4: the loss is nan") as error:
-        _train(tmp_path / "run", network=network, checkpoint_interval_s=0.0, max_steps=9)
+        _train(tmp_path / "run", network=network, max_steps=9)
     assert "\n" not in str(error.value)
     state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     assert state["step"] == 2
@@ -315,12 +317,15 @@ def test_nan_loss_stops_and_leaves_the_last_good_checkpoint(tmp_path):
     assert training.end is End.STEPS
 
 
-def test_weights_too_large_for_a_file_stop_and_leave_the_last_good_checkpoint(tmp_path):
+def test_weights_too_large_for_a_file_stop_and_leave_the_last_good_checkpoint(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(loop, "CHECKPOINT_INTERVAL_S", 0.0)
     _train(tmp_path / "run", max_steps=1)
     with pytest.raises(
         RecognizerError, match=r"weights have grown .* lower learning_rate"
     ) as error:
-        _train(tmp_path / "run", max_steps=30, learning_rate=1e8, checkpoint_interval_s=0.0)
+        _train(tmp_path / "run", max_steps=30, learning_rate=1e8)
     assert "\n" not in str(error.value)
     _training, records = _train(tmp_path / "run", max_steps=3)
     assert [record.step for record in records] == [2, 3]
@@ -334,7 +339,7 @@ def test_one_round_without_sets_is_not_the_end(tmp_path, monkeypatch):
         found = build_image_sets(*arguments)
         return found if len(rounds) % 3 == 0 else ImageSets(*np.empty((2, 0, 4), np.int64))
 
-    monkeypatch.setattr(training_module, "build_image_sets", few)
+    monkeypatch.setattr(loop, "build_image_sets", few)
     training, records = _train(tmp_path / "run", max_steps=2, batch_sets=999)
     assert training.end is End.STEPS
     assert records[0].round == 3
@@ -360,8 +365,10 @@ def test_images_without_labels_are_one_line(tmp_path):
 
 def test_checkpoint_of_another_training_is_refused(tmp_path):
     _train(tmp_path / "run", max_steps=2)
-    with pytest.raises(RecognizerError, match=r"its gamma is 0\.1, not 0\.2"):
-        _train(tmp_path / "run", gamma=0.2)
+    with pytest.raises(RecognizerError, match=r"its alpha is 0\.5, not 0\.2"):
+        _train(tmp_path / "run", alpha=0.2)
+    with pytest.raises(RecognizerError, match=r"its augmentation is null, not {\"brightness"):
+        _train(tmp_path / "run", augment=True)
     with pytest.raises(RecognizerError, match=r"its images is 60 with labels .*, not 65 with"):
         _train(tmp_path / "run", Boards(places=13))
     with pytest.raises(RecognizerError, match="its network is"):
@@ -391,12 +398,12 @@ def test_frozen_block_must_be_in_the_network(tmp_path):
 
 
 def test_folder_must_exist(tmp_path):
-    with pytest.raises(RecognizerError, match=r"cannot write log\.csv"):
+    with pytest.raises(LoopcloseError, match=r"cannot write log\.csv"):
         Training(PlaceNetwork(TINY, 4), Boards(), TrainingConfig(), tmp_path / "none")
 
 
 def test_views_are_other_ones_in_each_step(tmp_path):
-    training, _ = _train(tmp_path / "run", max_steps=1, augmentation=Augmentation())
+    training, _ = _train(tmp_path / "run", max_steps=1, augment=True)
     images = np.array([0, 3])
     first, again, other = (training._learner._views(images, step) for step in (0, 0, 1))
     assert torch.equal(first, again)

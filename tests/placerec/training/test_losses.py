@@ -6,14 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placerec.training.losses import (
-    centre,
     draw_partners,
     multi_constraint_loss,
     simplified_multi_constraint_loss,
     triplet_loss,
-    triplet_set_loss,
 )
 
+ALPHA, BETA = 0.5, 0.3
 SHAPES = st.tuples(st.integers(1, 4), st.integers(1, 5), st.integers(2, 5), st.integers(1, 6))
 
 
@@ -78,9 +77,9 @@ def test_triplet_is_the_loop_over_the_triplets_of_a_set(shape, seed):
     positives, negatives, _ = _sets(shape, seed)
     images = np.random.default_rng(seed).integers(0, 3, positives.shape[:2])
     is_pair = torch.from_numpy(images[:, :, None] != images[:, None, :])
-    for s, got in enumerate(triplet_set_loss(positives, negatives, is_pair)):
+    for s, got in enumerate(triplet_loss(positives, negatives, is_pair, ALPHA)):
         terms = [
-            max(0.0, _d2(a, p) + 0.5 - _d2(a, n))
+            max(0.0, _d2(a, p) + ALPHA - _d2(a, n))
             for i, a in enumerate(positives[s].numpy())
             for j, p in enumerate(positives[s].numpy())
             for n in negatives[s].numpy()
@@ -89,16 +88,13 @@ def test_triplet_is_the_loop_over_the_triplets_of_a_set(shape, seed):
         assert float(got) == pytest.approx(np.mean(terms) if terms else 0.0, abs=1e-12)
 
 
-def test_centre_is_the_mean_and_not_normalised():
-    positives = torch.tensor([[[1.0, 0.0], [0.0, 1.0]]])
-    assert torch.equal(centre(positives), torch.tensor([[0.5, 0.5]]))
-
-
 def test_triplet_by_hand():
-    a, p, n = torch.tensor([1.0, 0.0]), torch.tensor([0.0, 1.0]), torch.tensor([-1.0, 0.0])
+    a, p, n = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]]).split(1, dim=1)
     # |a-p|^2 = 2 and |a-n|^2 = 4: the margin is kept; the other way round it is missed by 2.5.
-    assert float(triplet_loss(a, p, n)) == 0.0
-    assert float(triplet_loss(a, n, p)) == 2.5
+    # With p as the anchor |p-n|^2 = 2 misses it by 0.5, with n as the anchor |n-p|^2 = 2 by 2.5.
+    pair = ~torch.eye(2, dtype=torch.bool)[None]
+    assert triplet_loss(torch.cat([a, p], dim=1), n, pair, ALPHA).tolist() == [(0.0 + 0.5) / 2]
+    assert triplet_loss(torch.cat([a, n], dim=1), p, pair, ALPHA).tolist() == [(2.5 + 2.5) / 2]
 
 
 def test_multi_constraint_by_hand():
@@ -108,8 +104,9 @@ def test_multi_constraint_by_hand():
     negatives = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
     partners = torch.tensor([[1, 0]])
     # Full: i = 1, 2 each give 0.5 + 0.5 - 0.5 for the first negative and nothing for the second.
-    assert float(multi_constraint_loss(positives, negatives, partners)[0]) == 0.25
-    assert float(simplified_multi_constraint_loss(positives, negatives, partners)[0]) == 0.5
+    assert float(multi_constraint_loss(positives, negatives, partners, ALPHA, BETA)[0]) == 0.25
+    loss = simplified_multi_constraint_loss(positives, negatives, partners, ALPHA, BETA)
+    assert float(loss[0]) == 0.5
 
 
 def test_negatives_that_look_alike_are_pushed_apart():
@@ -118,9 +115,10 @@ def test_negatives_that_look_alike_are_pushed_apart():
     negatives = torch.tensor([[[-1.0, 0.0], [-1.0, 0.0]]])
     partners = torch.tensor([[1, 0]])
     for loss in (multi_constraint_loss, simplified_multi_constraint_loss):
-        assert float(loss(positives, negatives, partners)[0]) == pytest.approx(0.3)
+        found = loss(positives, negatives, partners, ALPHA, BETA)
+        assert float(found[0]) == pytest.approx(0.3)
     pair = torch.tensor([[[False, True], [True, False]]])
-    assert float(triplet_set_loss(positives, negatives, pair)[0]) == 0.0
+    assert float(triplet_loss(positives, negatives, pair, ALPHA)[0]) == 0.0
 
 
 def test_partner_of_the_nearest_negative_decides_in_the_simplified_form():
@@ -129,7 +127,7 @@ def test_partner_of_the_nearest_negative_decides_in_the_simplified_form():
     # Nearest is the third, 0.4 away: 0.1 for DR2; it is 0.8 from the first and 2 from the second.
     for partner, expected in ((0, 0.1 + 0.2), (1, 0.1)):
         partners = torch.tensor([[1, 0, partner]])
-        loss = simplified_multi_constraint_loss(positives, negatives, partners, beta=1.0)
+        loss = simplified_multi_constraint_loss(positives, negatives, partners, ALPHA, 1.0)
         assert float(loss[0]) == pytest.approx(expected, abs=1e-6)
 
 
@@ -148,7 +146,7 @@ def test_gradient_of_triplet():
     is_pair = ~torch.eye(4, dtype=torch.bool).expand(3, 4, 4)
 
     def of(p, n):
-        return triplet_set_loss(p, n, is_pair, 1.9)
+        return triplet_loss(p, n, is_pair, 1.9)
 
     assert torch.autograd.gradcheck(of, (positives.requires_grad_(), negatives.requires_grad_()))
 
@@ -157,7 +155,7 @@ def test_identical_embeddings_have_a_finite_gradient():
     positives = torch.ones(1, 4, 3, requires_grad=True)
     negatives = torch.ones(1, 4, 3, requires_grad=True)
     partners = torch.tensor([[1, 2, 3, 0]])
-    simplified_multi_constraint_loss(positives, negatives, partners).sum().backward()
+    simplified_multi_constraint_loss(positives, negatives, partners, ALPHA, BETA).sum().backward()
     assert torch.isfinite(positives.grad).all()
     assert torch.isfinite(negatives.grad).all()
 

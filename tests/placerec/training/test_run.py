@@ -17,7 +17,7 @@ from placerec.certificate import read_certificate
 from placerec.datasets import LabelledImages, open_dataset
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.recognizers.learned import LearnedRecognizer
-from placerec.training.config import Loss, TrainingPlan
+from placerec.training.config import Loss, TrainingConfig
 from placerec.training.learner import Learner
 from placerec.training.log import TrainingLog, read_log
 
@@ -241,7 +241,7 @@ def test_bar_tells_loss_sets_left_rate_and_time_to_go(tower, tmp_path, capsys, m
 
 
 def test_every_loss_can_be_named(tower, tmp_path):
-    assert TrainingPlan().loss == Loss.SIMPLIFIED
+    assert TrainingConfig().loss == Loss.SIMPLIFIED
     for loss in Loss:
         assert _train(tower, tmp_path / loss, "--loss", loss, steps=1) == 0
 
@@ -254,8 +254,8 @@ def test_every_loss_can_be_named(tower, tmp_path):
         (["--block", "block99"], "trunk 'mobilenet_v2' has no block 'block99'; it has: stem, "),
         (["--frozen-block", "block3"], "frozen_block = 'block3': the network is cut before it"),
         (["--loss", "hinge"], "loss = 'hinge': input should be 'multi-constraint', "),
-        (["--steps", "-1"], "max_steps = -1: input should be greater than or equal to 0"),
-        (["--minutes", "-1"], "max_seconds = -60.0: input should be greater than 0"),
+        (["--steps", "-1"], "steps = -1: input should be greater than or equal to 0"),
+        (["--minutes", "-1"], "minutes = -1.0: input should be greater than 0"),
         (["--learning-rate", "0"], "learning_rate = 0.0: input should be greater than 0"),
         (["--grid", "0", "2"], "grid = 0 2: both numbers must be at least 1"),
         (["--size", "64", "-1"], "size = 64 -1: both numbers must be at least 1"),

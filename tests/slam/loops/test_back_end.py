@@ -79,10 +79,14 @@ def test_who_inserts_does_not_wait_for_the_answer(keyframes):
 
 
 def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
-    behind = back_end(Gate(), min_gap_s=4.0)
+    clock = StageClock()
+    behind = BackEnd(CAMERA, Gate(), Config(loop=LoopConfig(min_gap_s=4.0)), clock)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), rgb)
     solved = behind.solve()
+    behind.T_world_odom()
+    assert list(clock.seconds) == ["describe", "close loops", "graph"]
+    assert all(each.weight > 0.9 for each in solved.attempts)
     assert behind.keyframes == [keyframe for keyframe, _ in keyframes]
     assert {(each.match_id, each.query_id) for each in solved.attempts} == {(0, 2), (0, 3), (1, 3)}
     assert in_use(solved) == [(each.match_id, each.query_id) for each in solved.attempts]
@@ -99,7 +103,10 @@ def test_loops_that_lost_are_not_trusted(keyframes):
         tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
         behind.insert(keyframe, tie, rgb)
     solved = behind.solve()
-    assert len(solved.attempts) == 1 and in_use(solved) == []
+    (lost,) = solved.attempts
+    assert in_use(solved) == [] and 0.0 <= lost.weight < 0.1
+    assert lost.outcome == Rejection(RejectionReason.OUTVOTED, lost.weight, 0.5)
+    assert isinstance(lost.verification.outcome, RelativePose)  # what geometry saw stays known
 
 
 def test_one_loop_to_another_segment_is_of_no_use_and_a_second_makes_it_one(keyframes):

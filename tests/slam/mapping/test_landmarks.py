@@ -75,5 +75,6 @@ def test_what_one_keyframe_tells_apart_is_not_merged():
     see(table, ids[:2], 6)
     see(table, ids[2:], 7)
     table.merge(ids[[0]], ids[[1]])
+    assert table.resolve(ids).tolist() == [0, 1, 2] and table.sightings[ids].tolist() == [1, 1, 1]
     table.merge(ids[[0]], ids[[2]])
-    assert table.resolve(ids).tolist() == [2, 1, 2]
+    assert table.resolve(ids).tolist() == [2, 1, 2] and table.sightings[ids].tolist() == [1, 1, 2]

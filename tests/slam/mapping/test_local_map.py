@@ -102,6 +102,7 @@ def test_what_is_adjusted_is_taken_from_the_map_before_the_thread_begins(scene, 
 
 def test_landmarks_nearby_are_those_of_the_keyframe_and_its_company(scene):
     local_map = LocalMap(scene.camera, Config())
+    assert local_map.nearby_ids.tolist() == []
     for k in range(3):
         insert(local_map, scene, k)
     np.testing.assert_array_equal(local_map.nearby_ids, local_map.whole.seen_by([0, 1, 2]))

@@ -29,6 +29,7 @@ MOTION = RelativePose(
     np.arange(36.0).reshape(6, 6) + np.arange(36.0).reshape(6, 6).T + 1.0 / 3.0,
 )
 FEW = Rejection(RejectionReason.FEW_INLIERS, 12.0, 25.0)
+OUTVOTED = Rejection(RejectionReason.OUTVOTED, 0.0, 0.5)
 
 
 def verification(outcome):
@@ -39,7 +40,7 @@ ATTEMPTS = (
     LoopAttempt(2, 0, 0.9, verification(MOTION), MOTION, 0.75),
     LoopAttempt(2, 1, 0.8, verification(FEW), FEW),
     LoopAttempt(1, 0, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
-    LoopAttempt(1, 0, 0.7, verification(MOTION), MOTION, 0.0),
+    LoopAttempt(1, 0, 0.7, verification(MOTION), OUTVOTED, 0.0),
 )
 TRUTHS = (
     LoopTruth(0.01, 0.5, 1.0, 20.0, False),

@@ -6,13 +6,14 @@ import numpy as np
 import open3d as o3d
 import pytest
 
+from placerec.errors import LoopcloseError
 from slam.config import MapConfig
 from slam.datasets.cameras import FREIBURG
 from slam.geometry import se3
 from slam.output.point_cloud import fuse, write_map
 from slam.result import SlamResult
 from slam.tracking.tracked_frame import preview
-from slam.types import Camera, Frame, Keyframe, SlamError, Trajectory
+from slam.types import Camera, Frame, Keyframe, Trajectory
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
 COARSE = MapConfig(voxel_m=0.05)
@@ -160,7 +161,7 @@ def test_voxels_too_fine_for_open3d_are_refused_before_the_run():
 
 
 def test_a_folder_that_is_not_there_is_one_clear_line(tmp_path):
-    with pytest.raises(SlamError, match=r"cannot write map\.ply") as error:
+    with pytest.raises(LoopcloseError, match=r"cannot write map\.ply") as error:
         write_map(tmp_path / "none" / "map.ply", result_of([wall()]), COARSE)
     assert "\n" not in str(error.value)
 

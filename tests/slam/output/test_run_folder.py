@@ -10,6 +10,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
+from placerec.errors import LoopcloseError
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_config
 from slam.evaluation.drift import compare_drift
@@ -186,15 +187,15 @@ def test_an_outvoted_loop_is_in_the_ledger_but_not_in_the_graph(tmp_path, result
 def test_a_full_disk_leaves_the_files_before_it_whole(
     tmp_path, monkeypatch, result, drift, sequence, written, stops_at
 ):
-    sync, room = os.fsync, iter(IN_ORDER[: IN_ORDER.index(stops_at)])
+    sync, writable = os.fsync, iter(IN_ORDER[: IN_ORDER.index(stops_at)])
 
     def fsync(stream):
-        if next(room, None) is None:
+        if next(writable, None) is None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         sync(stream)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    with pytest.raises(SlamError, match=f"cannot write {stops_at}: No space left") as error:
+    with pytest.raises(LoopcloseError, match=f"cannot write {stops_at}: No space left") as error:
         write_run(
             tmp_path, result, drift, sequence.ground_truth, CONFIG, "small room", "run_slam room"
         )

@@ -2,13 +2,14 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from placerec.certificate import Certificate
 from slam.evaluation.drift import DriftReport, LoopTruth, TrajectoryError
-from slam.output.summary import summarise
+from slam.output.summary import summarise, summary_table
 from slam.result import Calibration, SlamResult
 from slam.types import (
     Camera,
@@ -22,14 +23,10 @@ from slam.types import (
 )
 
 MOTION = RelativePose(np.eye(4), np.eye(6))
-ATTEMPTS = (
-    LoopAttempt(9, 0, 0.9, None, MOTION, 1.0),
-    LoopAttempt(9, 1, 0.9, None, MOTION, 1.0),
-    LoopAttempt(9, 2, 0.9, None, MOTION, 0.0),
-    LoopAttempt(9, 3, 0.9, None, Rejection(RejectionReason.OUTVOTED, 0.0, 0.5)),
-    LoopAttempt(9, 4, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
-)
-VERDICTS = (True, False, None, None, None)
+ACCEPTED = LoopAttempt(9, 0, 0.9, None, MOTION, 1.0)
+OUTVOTED = LoopAttempt(9, 2, 0.9, None, Rejection(RejectionReason.OUTVOTED, 0.0, 0.5), 0.0)
+REJECTED = LoopAttempt(9, 4, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5))
+ATTEMPTS = (ACCEPTED, replace(ACCEPTED, match_id=1), OUTVOTED, OUTVOTED, REJECTED)
 
 
 def result(attempts=ATTEMPTS, frames=8, stage_seconds=None):
@@ -51,13 +48,29 @@ def result(attempts=ATTEMPTS, frames=8, stage_seconds=None):
     )
 
 
-def drift():
+def drift(rpe_after=(math.nan, math.nan), verdicts=(True, False, None, None, None)):
     def error(ate_m, rpe_m, rpe_deg):
         return TrajectoryError(np.zeros(6), np.eye(4), np.zeros(6), ate_m, rpe_m, rpe_deg, 0.75)
 
-    loops = tuple(LoopTruth(1.0, 1.0, 1.0, 1.0, verdict) for verdict in VERDICTS)
-    before, after = error(0.05, 0.03, 2.0), error(0.02, math.nan, math.nan)
-    return DriftReport(before, after, loops, 0.02, 0.9, 1.0, 12.5)
+    loops = tuple(LoopTruth(1.0, 1.0, 1.0, 1.0, verdict) for verdict in verdicts)
+    return DriftReport(
+        error(0.05, 0.03, 2.0), error(0.02, *rpe_after), loops, 0.02, 0.905, 1.0, 12.5
+    )
+
+
+def calibration(**changes):
+    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
+    known |= {"recognizer": "w", "fingerprint": "sha256:0", "data": "floors", "pairs": 120}
+    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
+    known |= {"resampled": "images", **dict.fromkeys(ranges, (0.25, 0.75)), **changes}
+    return Calibration(Certificate.model_validate(known), np.empty(0, np.float32))
+
+
+def lines(result, drift):
+    return summary_table(result, drift, Path("runs/desk")).splitlines()
+
+
+# summary.json
 
 
 def test_counts():
@@ -97,7 +110,7 @@ def test_errors_stand_beside_how_they_were_taken():
     assert summary["rpe_translation_after_m"] is summary["rpe_rotation_after_deg"] is None
     assert (summary["alignment"], summary["scale"]) == ("SE(3)", 1.0)
     assert (summary["association_tolerance_s"], summary["rpe_interval_s"]) == (0.02, 1.0)
-    assert (summary["matched_share"], summary["truth_coverage"]) == (0.75, 0.9)
+    assert (summary["matched_share"], summary["truth_coverage"]) == (0.75, 0.905)
     assert summary["truth_length_m"] == 12.5
 
 
@@ -119,12 +132,7 @@ def test_without_truth_or_frames_the_same_keys_are_unknown():
 def test_certificate_is_told_without_its_curve():
     assert summarise(result(), None)["certificate"] is None
     assert summarise(result(), None)["min_similarity"] == 0.5
-    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
-    known |= {"recognizer": "w", "fingerprint": "sha256:0", "data": "floors", "pairs": 120}
-    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
-    known |= {"resampled": "images", **dict.fromkeys(ranges, (0.25, 0.75))}
-    calibration = Calibration(Certificate.model_validate(known), np.empty(0, np.float32))
-    told = summarise(replace(result(), calibration=calibration), None)["certificate"]
+    told = summarise(replace(result(), calibration=calibration()), None)["certificate"]
     assert set(told) == set(Certificate.model_fields) - {"curve"}
     assert (told["data"], told["pairs"], told["fingerprint"]) == ("floors", 120, "sha256:0")
     assert told["threshold_interval"] == [0.25, 0.75]
@@ -133,3 +141,67 @@ def test_certificate_is_told_without_its_curve():
 def test_the_summary_is_plain_json():
     text = json.dumps(summarise(result(), drift()), allow_nan=False)
     assert json.loads(text) == summarise(result(), drift())
+
+
+# The printed table
+
+
+def test_the_whole_run_in_a_few_lines():
+    calm = replace(result(), warnings=())
+    assert lines(calm, drift(rpe_after=(0.0123, 1.0))) == [
+        "camera     640x480, fx 525, fy 525 px, 5000 depth units per metre",
+        "frames     8 of 10 tracked",
+        "keyframes  0",
+        "recognizer verifies from similarity 0.500, without a certificate",
+        "loops      2 accepted of 5 candidates, 2 outvoted by the graph; 1 of 2 checked are false",
+        "ATE        0.0500 m -> 0.0200 m corrected",
+        "           RMSE over 75.0% of the tracked frames (truth within 20 ms, it covers 90.5%)",
+        "           after SE(3) alignment, scale not adjusted",
+        "RPE        0.0300 m -> 0.0123 m, 2.00 deg -> 1.00 deg over 1 s",
+        "pipeline   25.0 frames/s",
+        f"report     {Path('runs/desk/report.html')}",
+    ]
+
+
+def test_a_certificate_is_told_in_one_line():
+    certified = calibration(threshold=0.75, threshold_interval=(0.625, 0.8))
+    (line,) = [
+        line
+        for line in lines(replace(result(), calibration=certified), None)
+        if line.startswith("recognizer")
+    ]
+    assert line == (
+        "recognizer verifies from similarity 0.500, calibrated on floors"
+        " (120 pairs; tau 0.750, 0.625 to 0.800)"
+    )
+
+
+def test_without_truth_there_is_no_error_and_no_verdict():
+    text = "\n".join(lines(result(), None))
+    assert "ATE" not in text and "RPE" not in text and "false" not in text
+    assert "2 accepted of 5 candidates, 2 outvoted by the graph\n" in text
+
+
+def test_an_error_over_an_interval_that_no_frames_are_apart_is_said_to_be_unknown():
+    text = "\n".join(lines(result(), drift()))
+    assert "RPE        unknown: no two compared frames are 1 s apart" in text
+    assert "nan" not in text
+
+
+def test_nothing_outvoted_and_nothing_judged_goes_unmentioned():
+    table = lines(result((ACCEPTED, REJECTED)), drift(verdicts=(None, None)))
+    assert "loops      1 accepted of 2 candidates" in table
+
+
+def test_warnings_come_before_the_report():
+    warned = replace(result(), warnings=("The depth looks odd.", "One image is missing."))
+    assert lines(warned, None)[-3:] == [
+        "warning    The depth looks odd.",
+        "warning    One image is missing.",
+        f"report     {Path('runs/desk/report.html')}",
+    ]
+
+
+def test_a_run_that_took_no_time_has_no_speed():
+    assert any("frames/s" in line for line in lines(result(), None))
+    assert not any("frames/s" in line for line in lines(replace(result(), elapsed_s=0.0), None))

@@ -66,6 +66,15 @@ def test_a_graph_without_vertices_is_chained_from_its_edges(tmp_path: Path) -> N
     assert values.atPose2(2).x() == pytest.approx(2.0)
 
 
+def test_edges_are_chained_in_any_order_and_against_their_direction(tmp_path: Path) -> None:
+    path = tmp_path / "graph.g2o"
+    path.write_text("EDGE_SE2 2 1  1 0 0.5  1 0 0 1 0 1\nEDGE_SE2 1 0  1 0 0  1 0 0 1 0 1\n")
+    _, values = read_g2o(path)
+    back = gtsam.Pose2(-1.0, 0.0, 0.0).compose(gtsam.Pose2(1.0, 0.0, 0.5).inverse())
+    for key, expected in enumerate((gtsam.Pose2(), gtsam.Pose2(-1.0, 0.0, 0.0), back)):
+        np.testing.assert_allclose(values.atPose2(key).matrix(), expected.matrix(), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
@@ -83,6 +92,10 @@ def test_a_graph_without_vertices_is_chained_from_its_edges(tmp_path: Path) -> N
         (EDGE + EDGE.replace(" 0 1", " 7 8", 1), "no edge ties 7 and 8 to the other poses"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 0 0 0 0\n" + EDGE, "vertex 0 is there twice: line 2 of "),
         ("<html>\n", "<html> is not a tag of a pose graph"),
+        (
+            EDGE + "VERTEX_SE3:QUAT 5 0 0 0 0 0 0 1\n",
+            "needs EDGE_SE2 or EDGE_SE3:QUAT, only one of the two",
+        ),
         ("VERTEX_SE2 0 0 0 0\n", "needs EDGE_SE2 or EDGE_SE3:QUAT, only one"),
         ("", "needs EDGE_SE2 or EDGE_SE3:QUAT, only one"),
     ],

@@ -57,3 +57,18 @@ def test_a_slow_camera_is_not_lost_between_two_frames(model):
     model.follow(10.5, se3.exp(2.0 * STEP))
     assert not model.is_cold(11.3)  # one of its frames was dropped
     assert model.is_cold(11.9)
+
+
+def test_a_camera_that_only_started_may_take_three_seconds_for_its_next_frame():
+    model = MotionModel(segment=0, last_s=10.0)
+    assert not model.is_cold(13.0) and model.is_cold(13.01)
+    model.has_missed = True
+    assert not model.is_cold(10.25) and model.is_cold(10.26)
+
+
+def test_a_quarter_of_a_second_is_not_yet_too_long():
+    model = MotionModel(segment=0, last_s=9.5)
+    assert not model.is_followed
+    model.follow(10.0, se3.exp(STEP))
+    assert model.is_followed
+    np.testing.assert_allclose(model.velocity(10.25, 0.03), STEP / 0.5, atol=1e-12)

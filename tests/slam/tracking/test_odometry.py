@@ -56,6 +56,7 @@ def test_the_first_frame_is_keyframe_0_at_the_origin(tracked, frames):
     first = tracked[0].new_keyframe
     assert first.id == tracked[0].keyframe_id == 0 and first.timestamp_s == frames[0].timestamp_s
     np.testing.assert_array_equal(first.T_odom_cam, np.eye(4))
+    np.testing.assert_array_equal(tracked[0].T_kf_cam, np.eye(4))
     assert tracked[0].links == () and first.turning_rad_s == 0.0
 
 
@@ -128,12 +129,43 @@ def test_black_frames_are_marked_and_those_after_them_tracked(frames, T_first_ca
 
 def test_a_bent_image_is_straightened_with_care_for_its_time_stamps(frames):
     """Every other frame is stamped a millisecond after the one before, as if on arrival."""
-    odometry = RgbdOdometry(replace(CAMERA, readout_s=0.026), Config())
+    odometry, segments = RgbdOdometry(replace(CAMERA, readout_s=0.026), Config()), set()
     for i, frame in enumerate(frames[:20]):
         stamped_s = 0.06 * (i - 1) + 1e-3 if i % 2 else 0.06 * i
         tracked = odometry.track(replace(frame, timestamp_s=stamped_s))
         assert isinstance(tracked, TrackedFrame)
-        assert tracked.new_keyframe is None or tracked.new_keyframe.segment == 0
+        segments.add(tracked.new_keyframe.segment if tracked.new_keyframe else 0)
+    assert segments == {0}
+
+
+def test_a_frame_that_follows_is_looked_for_nowhere_else_and_one_after_a_pause_everywhere(
+    frames, monkeypatch
+):
+    tracker, asked = RgbdOdometry(CAMERA, Config()), []
+    for name in ("_follow", "_relocalize"):
+        monkeypatch.setattr(RgbdOdometry, name, _noting(getattr(RgbdOdometry, name), asked))
+    tracker.track(frames[0])
+    tracker.track(frames[1])
+    assert asked == ["_follow"]
+    tracker.track(replace(frames[2], timestamp_s=frames[1].timestamp_s + 5.0))
+    assert asked == ["_follow", "_relocalize"]
+
+
+def _noting(method, names):
+    def noting(*arguments):
+        names.append(method.__name__)
+        return method(*arguments)
+
+    return noting
+
+
+def test_it_is_told_why_the_landmarks_around_do_not_fit(frames, monkeypatch):
+    tracker = RgbdOdometry(CAMERA, Config())
+    tracker.track(frames[0])
+    refusal = Rejection(RejectionReason.FEW_INLIERS, 3, 15)
+    monkeypatch.setattr("slam.tracking.odometry.track_local_map", lambda *_: refusal)
+    monkeypatch.setattr(tracker, "_worth_a_segment", np.inf)
+    assert tracker.track(frames[1]) == refusal
 
 
 def test_a_blank_start_is_skipped_until_there_is_something_to_see(frames):

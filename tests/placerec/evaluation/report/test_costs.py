@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from placerec.evaluation.report.costs import PAPER, cost_drawings, cost_rows
+from placerec.evaluation.report.page import PAPER, cost_figures, cost_rows
 
 
 def named(measured, name, **cost):
@@ -27,14 +27,14 @@ def test_without_r_mac_there_is_no_ratio(measured):
 
 
 def test_the_papers_figures_stand_beside_ours(measured):
-    drawings = cost_drawings(cost_rows([measured]))
+    figures = cost_figures(cost_rows([measured]))
     embed, compare, size = (
-        base64.b64decode(drawing.address.split(",")[1]).decode() for drawing in drawings
+        base64.b64decode(figure.address.split(",")[1]).decode() for figure in figures
     )
     assert all(number in embed for number in (">12.3<", ">22<", ">1,694<", "paper: R-MAC"))
     assert all(number in compare for number in (">0.123<", ">18.9<"))
     assert all(number in size for number in (">2,048<", ">173,056<", ">4,000<"))
-    assert [drawing.alt for drawing in drawings][2] == "Bars: bytes per place"
+    assert [figure.alt for figure in figures][2] == "Bars: bytes per place"
     r_mac = next(row for row in PAPER if row.method == "R-MAC")
     assert (r_mac.embed_ms, r_mac.values) == (1694.0, 512)
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import base64
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from placerec.datasets import PlaceDataset
 from placerec.evaluation.precision_recall import BestMatches
-from placerec.evaluation.report.examples import drawing, first_matches
+from placerec.evaluation.report.examples import first_matches, page_figure
 
 COLOURS = ((250, 10, 10), (10, 250, 10), (10, 10, 250), (250, 250, 10))
 
@@ -47,6 +48,12 @@ def test_query_stands_left_of_its_reference_each_in_its_own_shape(dataset):
         assert np.abs(photograph[y, x, ::-1].astype(int) - colour).max() < 12
 
 
+def test_of_several_right_ones_the_most_similar_is_shown(dataset):
+    found = replace(matches([True, True]), similarities=np.array([0.7, 0.8], np.float32))
+    right, _ = first_matches(dataset, found)
+    assert (right.query, right.similarity) == ("1.png", pytest.approx(0.8))
+
+
 def test_what_there_is_not_is_none(dataset):
     assert first_matches(dataset, matches([True, True]))[1] is None
     assert first_matches(dataset, matches([False, False]))[0] is None
@@ -58,7 +65,7 @@ def test_a_photograph_that_is_gone_leaves_its_names(dataset):
     assert (wrong.address, wrong.reference) == (None, "3.png")
 
 
-def test_a_drawing_is_a_file_within_the_page():
-    found = drawing(b"<svg/>", "nothing")
+def test_a_figure_is_a_file_within_the_page():
+    found = page_figure(b"<svg/>", "nothing")
     assert decode(found.address, "image/svg+xml") == b"<svg/>"
     assert found.alt == "nothing"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from placerec.evaluation.measurement import Failed
-from placerec.evaluation.report import render
+from placerec.evaluation.report.page import render
 
 VOID = {"meta", "link", "img", "br"}
 

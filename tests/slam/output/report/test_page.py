@@ -4,6 +4,7 @@
 import re
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -12,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.output.report import write_report
-from slam.output.report.page import render
+from slam.output.report.page import write_report
 from slam.result import SlamResult
 from slam.types import RejectionReason, RelativePose, Trajectory
 
@@ -56,6 +56,13 @@ class Page(HTMLParser):
 
     def all(self, tag: str) -> list[dict[str, str | None]]:
         return [attributes for name, attributes in self.tags if name == tag]
+
+
+def render(*run: object, **more: object) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "report.html"
+        write_report(path, *run, **more)
+        return path.read_text(encoding="utf-8")
 
 
 def page_of(result: SlamResult, drift: object = None, title: str = "a run", **more: object) -> Page:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slam.output.report.paths import SESSION_GAP_S, broken, gather, positions_at
+from slam.output.report.paths import SESSION_GAP_S, broken, gather
 from slam.types import Trajectory
 
 PER_KEYFRAME = 5  # frames, in the run of conftest.py
@@ -33,12 +33,15 @@ def test_truth_outside_the_run_is_not_drawn(run) -> None:
     assert paths.truth_times_s.max() <= paths.times_s[-1] + 1e-6
 
 
-def test_positions_are_the_nearest_in_time_within_the_tolerance() -> None:
+def test_keyframes_are_in_truth_where_it_has_a_pose_within_the_tolerance(run) -> None:
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, 0, 3] = (1, 2, 3)
-    trajectory = Trajectory(np.array([0.0, 1.0, 2.0]), poses)
-    found = positions_at(trajectory, np.array([-0.01, 0.99, 1.5, 2.01, 9.0]), 0.02)
-    assert_allclose(found[:, 0], (1, 2, np.nan, 3, np.nan))
+    stamps_s = np.array([keyframe.timestamp_s for keyframe in run.result.keyframes])
+    truth = Trajectory(stamps_s[[0, 2, 5]] + (0.01, -0.01, 0.03), poses)
+    found = gather(run.result, run.drift, truth).keyframe_truth_m
+    assert_allclose(found[:6, 0], (1, np.nan, 2, np.nan, np.nan, np.nan))
+    assert np.isnan(found[6:]).all()
+    assert not gather(run.result, None, truth).has_keyframe_truth
 
 
 def test_lines_break_where_frames_are_missing() -> None:
@@ -59,7 +62,8 @@ def test_the_breaks_between_sessions_are_left_out(run, altered) -> None:
     ]
     result = altered(session_starts_s=times[30:31], keyframes=tuple(keyframes))
     paths = gather(replace(result, trajectory=later, odometry=later), None, None)
-    assert_allclose(paths.keyframe_times_s, paths.times_s[::PER_KEYFRAME])
+    keyframes_s = np.array([each.timestamp_s for each in keyframes])
+    assert_allclose(paths.elapsed_s(keyframes_s), paths.times_s[::PER_KEYFRAME])
     assert_allclose(np.diff(paths.times_s[:30]), np.diff(times[:30]))
     assert_allclose(np.diff(paths.times_s[30:]), np.diff(times[30:]))
     assert paths.times_s[30] - paths.times_s[29] == pytest.approx(SESSION_GAP_S)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placerec.conformance.made_images import places
-from placerec.conformance.subject import STATUS, run_in_fresh_process
+from placerec.conformance.subject import run_in_fresh_process
 from placerec.errors import RecognizerError
 from placerec.recognizer import load
 
@@ -49,7 +49,7 @@ def test_the_places_are_embedded_in_another_process():
     assert run.embeddings.dtype == np.float32
 
 
-@pytest.mark.skipif(not Path(STATUS).exists(), reason="only Linux tells")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux tells")
 def test_memory_is_told():
     run = run_in_fresh_process("written:Mean")
     assert 0 <= run.own_mb < 1000

@@ -67,8 +67,10 @@ def attempt(
     verification = Verification(outcome, matches, np.arange(60) < 30 + number % 30)
     similarity = 0.76 + 0.2 * generator.random()
     weight = None
-    if outcome is motion:
-        weight = 0.02 if number % 30 == 9 else 0.98
+    if number % 30 == 9:
+        weight, outcome = 0.02, Rejection(RejectionReason.OUTVOTED, 0.02, 0.5)
+    elif outcome is motion:
+        weight = 0.98
     elif refusal.reason is RejectionReason.LOW_SIMILARITY:
         return LoopAttempt(query_id, match_id, refusal.measured, None, refusal)
     return LoopAttempt(query_id, match_id, similarity, verification, outcome, weight)

@@ -2,56 +2,31 @@
 """One loop decision as people read it: what was decided, by which number, and was it right."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from slam.evaluation.drift import DriftReport, LoopTruth
 from slam.result import SlamResult
-from slam.types import Keyframe, LoopAttempt, Rejection, RejectionReason
+from slam.types import Keyframe, LoopAttempt, RejectionReason
 
 FALSE, ACCEPTED = "false", "accepted"
 OUTVOTED = RejectionReason.OUTVOTED.name.lower()
 
-
-def _count(what: str) -> Callable[[float, float], str]:
-    def describe(measured: float, needed: float) -> str:
-        return f"needed {needed:.0f} {what}, had {measured:.0f}: {needed - measured:.0f} short"
-
-    return describe
-
-
-def _share(what: str) -> Callable[[float, float], str]:
-    def describe(measured: float, needed: float) -> str:
-        short = 100 * (needed - measured)
-        return f"needed {needed:.1%} {what}, had {measured:.1%}: {short:.1f} points short"
-
-    return describe
-
-
-def _similarity(measured: float, needed: float) -> str:
-    if not math.isfinite(measured):
-        return f"needed similarity {needed:.3f}, had none"
-    return f"needed similarity {needed:.3f}, had {measured:.3f}: {needed - measured:.3f} short"
-
-
-def _weight(measured: float, needed: float) -> str:
-    return f"needed weight {needed:.2f} in the pose graph, had {measured:.2f}"
-
-
-def _uncertainty(measured: float, needed: float) -> str:
-    return f"needed a motion known to {100 * needed:.1f} cm, had {100 * measured:.1f} cm"
-
-
-_MARGINS: dict[RejectionReason, Callable[[float, float], str]] = {
-    RejectionReason.LOW_SIMILARITY: _similarity,
-    RejectionReason.FEW_MATCHES: _count("matches with depth"),
-    RejectionReason.NO_POSE: _count("matches on one rigid motion"),
-    RejectionReason.FEW_INLIERS: _count("inliers"),
-    RejectionReason.LOW_INLIER_RATIO: _share("of the matches as inliers"),
-    RejectionReason.NARROW_SUPPORT: _share("of the image covered by inliers"),
-    RejectionReason.UNCERTAIN_MOTION: _uncertainty,
-    RejectionReason.OUTVOTED: _weight,
-    RejectionReason.UNJOINED: _count("loops that agree where its part of the map lies"),
+_COUNT = "needed {needed:.0f} %s, had {measured:.0f}: {short:.0f} short"
+_SHARE = "needed {needed:.1%%} %s, had {measured:.1%%}: {short_percent:.1f} points short"
+_MARGINS = {
+    RejectionReason.LOW_SIMILARITY: (
+        "needed similarity {needed:.3f}, had {measured:.3f}: {short:.3f} short"
+    ),
+    RejectionReason.FEW_MATCHES: _COUNT % "matches with depth",
+    RejectionReason.NO_POSE: _COUNT % "matches on one rigid motion",
+    RejectionReason.FEW_INLIERS: _COUNT % "inliers",
+    RejectionReason.LOW_INLIER_RATIO: _SHARE % "of the matches as inliers",
+    RejectionReason.NARROW_SUPPORT: _SHARE % "of the image covered by inliers",
+    RejectionReason.UNCERTAIN_MOTION: (
+        "needed a motion known to {needed_cm:.1f} cm, had {measured_cm:.1f} cm"
+    ),
+    RejectionReason.OUTVOTED: "needed weight {needed:.2f} in the pose graph, had {measured:.2f}",
+    RejectionReason.UNJOINED: _COUNT % "loops that agree where its part of the map lies",
 }
 
 
@@ -71,21 +46,16 @@ class Decision:
     truth: LoopTruth | None
 
     @property
-    def rejection(self) -> Rejection | None:
-        """Why the loop is not in use, by geometry or by the pose graph; None for accepted ones."""
-        return self.attempt.rejection
-
-    @property
     def kind(self) -> str:
         """What became of it: accepted, false, or the name of the rejection's reason."""
-        if rejection := self.rejection:
+        if rejection := self.attempt.rejection:
             return rejection.reason.name.lower()
         return FALSE if self.truth is not None and self.truth.is_false else ACCEPTED
 
     @property
     def label(self) -> str:
         """The kind in plain words."""
-        if rejection := self.rejection:
+        if rejection := self.attempt.rejection:
             return rejection.reason.value
         return "accepted, but false by ground truth" if self.kind == FALSE else "accepted"
 
@@ -104,7 +74,7 @@ class Decision:
     @property
     def shortfall(self) -> float:
         """How far a rejected candidate was from the opposite decision, as a share of the need."""
-        if not (rejection := self.rejection):
+        if not (rejection := self.attempt.rejection):
             return 0.0
         gap = abs(rejection.needed - rejection.measured) / max(abs(rejection.needed), 1e-9)
         return gap if math.isfinite(gap) else math.inf
@@ -112,11 +82,22 @@ class Decision:
     @property
     def margin(self) -> str:
         """Measured against needed, or how much an accepted loop is trusted."""
-        if rejection := self.rejection:
-            return _MARGINS[rejection.reason](rejection.measured, rejection.needed)
-        if self.attempt.weight is None:
-            return "not weighed by the pose graph"
-        return f"weight {self.attempt.weight:.2f} in the pose graph"
+        if not (rejection := self.attempt.rejection):
+            weight = self.attempt.weight
+            if weight is None:
+                return "not weighed by the pose graph"
+            return f"weight {weight:.2f} in the pose graph"
+        needed, measured = rejection.needed, rejection.measured
+        if rejection.reason is RejectionReason.LOW_SIMILARITY and not math.isfinite(measured):
+            return f"needed similarity {needed:.3f}, had none"
+        return _MARGINS[rejection.reason].format(
+            needed=needed,
+            measured=measured,
+            short=needed - measured,
+            short_percent=100 * (needed - measured),
+            needed_cm=100 * needed,
+            measured_cm=100 * measured,
+        )
 
     @property
     def truth_text(self) -> str:

@@ -19,7 +19,7 @@ CAFFES = {
 
 
 @pytest.mark.parametrize("block", CAFFES)
-def test_maps_have_caffes_shapes(block):
+def test_maps_of_caffenet_have_caffes_shapes(block):
     channels, size = CAFFES[block]
     with torch.inference_mode():
         maps = CAFFENET.layers(block)(torch.zeros(1, 3, 227, 227))
@@ -27,7 +27,7 @@ def test_maps_have_caffes_shapes(block):
     assert (maps >= 0).all()
 
 
-def test_it_has_as_many_weights_as_caffenet():
+def test_caffenet_has_as_many_weights_as_caffes():
     counts = [sum(p.numel() for p in m.parameters()) for m in CAFFENET.layers()]
     assert [count for count in counts if count] == [34_944, 307_456, 885_120, 663_936, 442_624]
 
@@ -50,7 +50,7 @@ def test_weights_of_caffe_load_by_path_and_those_of_another_network_do_not(
         load_pretrained(network, path)
 
 
-def test_blue_comes_first_and_the_mean_of_imagenet_is_removed():
+def test_to_caffenet_blue_comes_first_and_the_mean_of_imagenet_is_removed():
     network = PlaceNetwork(CAFFENET, 1, block="conv1")
     image = np.full((20, 30, 3), (223, 127, 107), np.uint8)
     assert network.prepare([image])[0, :, 5, 5].tolist() == [3.0, 10.0, 100.0]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slam.evaluation.drift import LoopTruth
-from slam.output.report.decision import ACCEPTED, FALSE, OUTVOTED, Decision, decisions
+from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision, decisions
 from slam.types import LoopAttempt, Rejection, RejectionReason, RelativePose
 
 
@@ -27,6 +27,9 @@ WRONG = LoopTruth(0.40, 0.5, 0.1, 3.0, True)
         (RejectionReason.LOW_INLIER_RATIO, 0.18, 0.25, "needed 25.0% of the matches"),
         (RejectionReason.NARROW_SUPPORT, 0.012, 0.04, "2.8 points short"),
         (RejectionReason.OUTVOTED, 0.02, 0.5, "needed weight 0.50 in the pose graph, had 0.02"),
+        (RejectionReason.UNCERTAIN_MOTION, 0.123, 0.1, "known to 10.0 cm, had 12.3 cm"),
+        (RejectionReason.LOW_SIMILARITY, np.nan, 0.75, "needed similarity 0.750, had none"),
+        (RejectionReason.UNJOINED, 1, 3, "needed 3 loops that agree where its part of the map"),
     ],
 )
 def test_a_rejection_says_how_much_was_missing(run, reason, measured, needed, text) -> None:
@@ -49,12 +52,16 @@ def test_every_reason_has_words(run, reason: RejectionReason, measured: float) -
         (0.99, None, ACCEPTED),
         (None, RIGHT, ACCEPTED),
         (0.99, WRONG, FALSE),
-        (0.01, replace(WRONG, is_false=None), OUTVOTED),
-        (0.01, None, OUTVOTED),
     ],
 )
-def test_trust_and_truth_decide_the_kind_of_an_accepted_loop(run, weight, truth, kind) -> None:
+def test_truth_decides_the_kind_of_an_accepted_loop(run, weight, truth, kind) -> None:
     assert decide(run, MOTION, weight, truth).kind == kind
+
+
+@pytest.mark.parametrize("truth", [None, replace(WRONG, is_false=None)])
+def test_an_outvoted_loop_is_not_called_false(run, truth) -> None:
+    outvoted = Rejection(RejectionReason.OUTVOTED, 0.01, 0.5)
+    assert decide(run, outvoted, 0.01, truth).kind == OUTVOTED
 
 
 def test_truth_is_worded_for_measured_and_for_rejected_loops(run) -> None:
