@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from placerec.drawing import AFTER, BEFORE, TRUTH, canvas, png, svg
-from slam import SlamError, read_tum
+from placerec.errors import LoopcloseError
+from slam import read_tum
 from slam.config import load_config
 from slam.evaluation.drift import TrajectoryError, trajectory_error
 from slam.evaluation.trajectory import associate
@@ -28,7 +29,7 @@ def draw(run: Path, picture: Path) -> None:
     """Draw paths and position errors before and after loop closure.
 
     Raises:
-        SlamError: the folder does not hold a run with ground truth.
+        LoopcloseError: the folder does not hold a run with ground truth.
     """
     evaluation = load_config(run / "settings.toml").evaluation
     truth = read_tum(run / "groundtruth.txt")
@@ -79,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
     parsed = parser.parse_args(arguments)
     try:
         draw(parsed.run, parsed.picture)
-    except SlamError as error:
+    except LoopcloseError as error:
         print(f"readme_picture: {error}", file=sys.stderr)
         return 2
     return 0

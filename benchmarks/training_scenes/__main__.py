@@ -21,9 +21,8 @@ from tqdm import tqdm
 from benchmarks.training_scenes.handheld import Image, write_folder
 from benchmarks.training_scenes.recorded import RecordedPlace
 from benchmarks.training_scenes.rendered import views
-from placerec import RecognizerError
 from placerec.datasets import open_dataset
-from slam import SlamError
+from placerec.errors import LoopcloseError
 
 PATHS_OF_A_RECORDING = 4
 
@@ -39,7 +38,7 @@ def main() -> int:
             _look_anew(options, photographs)
         else:
             _render(options, photographs)
-    except (RecognizerError, SlamError) as error:
+    except LoopcloseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

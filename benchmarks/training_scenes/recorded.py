@@ -24,8 +24,8 @@ from benchmarks.training_scenes.handheld import (
     swing,
 )
 from placerec.datasets.tum import Recording, read_recording
+from placerec.datasets.tum_lists import nearest
 from slam import Config, open_sequence
-from slam.evaluation.trajectory import nearest
 from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse
 from slam.types import FloatArray
 

@@ -43,7 +43,7 @@ def read_clips(folder: Path, part: str = "test") -> PlaceDataset:
     of a clip joins the last.
 
     Raises:
-        RecognizerError: the part is unknown or has no images, the table cannot be used, or most
+        LoopcloseError: the part is unknown or has no images, the table cannot be used, or most
             images are broken.
     """
     if part not in PARTS:

@@ -22,7 +22,7 @@ def open_dataset(source: str, part: str = "test") -> PlaceDataset:
         part: of a folder of clips, where the source names none.
 
     Raises:
-        RecognizerError: there is no such folder or part, it is in no known format, or it is broken.
+        LoopcloseError: there is no such folder or part, it is in no known format, or it is broken.
     """
     try:
         sessions = _split_sessions(source)
@@ -35,7 +35,7 @@ def open_collection(source: str, part: str = "test") -> list[PlaceDataset]:
     """Open a dataset, or all datasets in a folder of such folders.
 
     Raises:
-        RecognizerError: as `open_dataset`, of any of them.
+        LoopcloseError: as `open_dataset`, of any of them.
     """
     try:
         inner = sorted(path for path in Path(source).glob("[!.]*") if path.is_dir())

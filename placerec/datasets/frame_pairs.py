@@ -11,17 +11,17 @@ from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_csv
 from placerec.errors import RecognizerError
 
-TOLERANCE_FRAMES = 2
+_TOLERANCE_FRAMES = 2
 
 
-def read_frame_pairs(folder: Path, tolerance_frames: int = TOLERANCE_FRAMES) -> PlaceDataset:
+def read_frame_pairs(folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES) -> PlaceDataset:
     """Read a folder with the images of two drives in query/ and ref/.
 
     Which frames match is read from ground_truth.csv (query,refs with refs as in 0;1;2, both
     counted from 0); without that file, frames match whose numbers differ by the tolerance or less.
 
     Raises:
-        RecognizerError: a folder is missing, the table cannot be used or most images are broken.
+        LoopcloseError: a folder is missing, the table cannot be used or most images are broken.
     """
     queries, references = (_images(folder / drive) for drive in ("query", "ref"))
     table = folder / "ground_truth.csv"
@@ -33,7 +33,7 @@ def read_frame_pairs(folder: Path, tolerance_frames: int = TOLERANCE_FRAMES) -> 
 
 
 def read_drives(
-    query_folder: Path, reference_folder: Path, tolerance_frames: int = TOLERANCE_FRAMES
+    query_folder: Path, reference_folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES
 ) -> PlaceDataset:
     """Read two folders of images, taken at the same pace; numbers up to the tolerance apart match.
 

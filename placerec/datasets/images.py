@@ -9,7 +9,7 @@ import numpy as np
 from cv2.typing import MatLike
 from numpy.typing import NDArray
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".tif", ".tiff", ".webp"})
+_IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".tif", ".tiff", ".webp"})
 _TAIL_BYTES = 64
 _ENDINGS = ((b"\x89PNG\r\n\x1a\n", b"IEND"), (b"\xff\xd8\xff", b"\xff\xd9"))
 
@@ -23,7 +23,7 @@ class BrokenImage(NamedTuple):
 
 def read_image(path: Path) -> NDArray[np.uint8] | BrokenImage:
     """Return an image as (H, W, 3) uint8 RGB; grey gets three equal channels, alpha is dropped."""
-    image = _decode(path, cv2.IMREAD_COLOR)
+    image = decode(path, cv2.IMREAD_COLOR)
     if isinstance(image, BrokenImage):
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -32,18 +32,19 @@ def read_image(path: Path) -> NDArray[np.uint8] | BrokenImage:
 def find_fault(path: Path) -> BrokenImage | None:
     """Return what is wrong with an image file, None where it can be read."""
     # Looks at all of the file, but is done in half the time of a full decoding.
-    image = _decode(path, cv2.IMREAD_REDUCED_GRAYSCALE_8)
+    image = decode(path, cv2.IMREAD_REDUCED_GRAYSCALE_8)
     if isinstance(image, BrokenImage):  # or of less than 8 pixels, of which nothing would be left
-        image = _decode(path, cv2.IMREAD_COLOR)
+        image = decode(path, cv2.IMREAD_COLOR)
     return image if isinstance(image, BrokenImage) else None
 
 
 def images_in(folder: Path) -> list[Path]:
     """Return the image files of a folder, by name; numbers of equal length sort as numbers do."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _IMAGE_SUFFIXES)
 
 
-def _decode(path: Path, flags: int) -> MatLike | BrokenImage:
+def decode(path: Path, flags: int) -> MatLike | BrokenImage:
+    """Return an image as `cv2.imdecode` makes it with these flags."""
     try:
         content = path.read_bytes()
     except OSError as error:

@@ -13,7 +13,7 @@ from placerec.errors import RecognizerError
 
 LONGEST_PX = 384
 """Longer sides are shrunk to this, more than any network here looks at: the rest costs time."""
-KEPT = 1024
+_KEPT = 1024
 """Images kept decoded: those looked at to build sets are soon learned from."""
 
 
@@ -49,7 +49,7 @@ class LabelledImages:
             labels.append(own + count)
             count += int(own.max()) + 1
         self.places = np.concatenate(labels).astype(np.int64)
-        self._decoded = lru_cache(maxsize=KEPT)(self._decode)
+        self._decoded = lru_cache(maxsize=_KEPT)(self._decode)
         sizes = np.diff(self._starts)
         self.scenes = np.repeat(np.arange(len(self._datasets)), sizes)
         kinds = np.repeat(np.arange(len(collections)), [len(each) for each in collections])

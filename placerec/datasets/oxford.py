@@ -11,16 +11,16 @@ from placerec.datasets.images import images_in
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.errors import RecognizerError
 
-GROUND_TRUTH = "*GroundTruth.mat"
-VARIABLE = "truth"
-MIN_GAP_IMAGES = 10
+_GROUND_TRUTH = "*GroundTruth.mat"
+_VARIABLE = "truth"
+_MIN_GAP_IMAGES = 10
 """Images closer in order are not compared: at a left and a right one every 1.5 m, up to 7.5 m
 apart on one drive; the authors' matrix marks revisits only."""
 
 
 def find_ground_truth(folder: Path) -> Path | None:
     """Return the matrix file of such a folder, None where there is none."""
-    found = sorted([*folder.glob(GROUND_TRUTH), *folder.glob(f"masks/{GROUND_TRUTH}")])
+    found = sorted([*folder.glob(_GROUND_TRUTH), *folder.glob(f"masks/{_GROUND_TRUTH}")])
     return found[0] if found else None
 
 
@@ -36,7 +36,7 @@ def read_oxford(folder: Path) -> PlaceDataset:
     """
     file, images = find_ground_truth(folder), folder / "Images"
     if file is None or not images.is_dir():
-        missing = "folder Images" if file else f"file {GROUND_TRUTH}"
+        missing = "folder Images" if file else f"file {_GROUND_TRUTH}"
         raise RecognizerError(f"there is no {missing}: {folder}")
     paths = images_in(images)
     truth = _read_matrix(file)
@@ -52,14 +52,14 @@ def read_oxford(folder: Path) -> PlaceDataset:
         queries=everyone,
         references=everyone,
         same_place=truth | truth.T,
-        comparable=np.abs(everyone[:, None] - everyone) > MIN_GAP_IMAGES,
+        comparable=np.abs(everyone[:, None] - everyone) > _MIN_GAP_IMAGES,
     )
     return keep_readable(dataset)
 
 
 def _read_matrix(file: Path) -> NDArray[np.bool_]:
     try:
-        variables = scipy.io.loadmat(file, variable_names=[VARIABLE])
+        variables = scipy.io.loadmat(file, variable_names=[_VARIABLE])
     except OSError as error:
         raise RecognizerError(f"cannot read {file.name}: {error.strerror}: {file}") from error
     except Exception as error:  # a broken file raises whatever its bytes happen to lead to
@@ -67,7 +67,7 @@ def _read_matrix(file: Path) -> NDArray[np.bool_]:
             f"{file.name} is no MATLAB file of version 7 or older ({type(error).__name__}); "
             f"save it with -v7: {file}"
         ) from error
-    matrix = variables.get(VARIABLE)
+    matrix = variables.get(_VARIABLE)
     if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or matrix.dtype.kind not in "biuf":
-        raise RecognizerError(f"{file.name} has no matrix {VARIABLE!r}: {file}")
+        raise RecognizerError(f"{file.name} has no matrix {_VARIABLE!r}: {file}")
     return np.asarray(matrix != 0)

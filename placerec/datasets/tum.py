@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
-from placerec.datasets.tables import read_rows
+from placerec.datasets.tum_lists import FloatArray, nearest, read_images, read_poses
 from placerec.errors import RecognizerError
 
-MAX_TIME_DIFFERENCE_S = 0.02
+_MAX_TIME_DIFFERENCE_S = 0.02
 MAX_DISTANCE = 0.6
 """Metres plus radians below which two frames are of the same place."""
 MIN_GAP_S = 3.0
@@ -19,8 +19,6 @@ MIN_GAP_S = 3.0
 STRIDE = 3
 """Of a video every so many frames one is used; of single views, further apart than MIN_GAP_S, as
 rendered ones are, every one."""
-
-FloatArray = NDArray[np.float64]
 
 
 class Recording(NamedTuple):
@@ -40,7 +38,7 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
         stride: every how many frames with truth one is used.
 
     Raises:
-        RecognizerError: a list cannot be used, no frame has a true pose, or most images are broken.
+        LoopcloseError: a list cannot be used, no frame has a true pose, or most images are broken.
     """
     recording = read_recording(folder, stride)
     distance = pose_distance(recording.positions_m, recording.quaternions)
@@ -68,7 +66,7 @@ def read_tum_sessions(
     The true poses of both must be in one world, as are those of the benchmark's freiburg1.
 
     Raises:
-        RecognizerError: as for one recording.
+        LoopcloseError: as for one recording.
     """
     sessions = [read_recording(folder, stride) for folder in (query_folder, reference_folder)]
     timestamps_s, paths, positions_m, quaternions = zip(*sessions, strict=True)
@@ -94,25 +92,26 @@ def read_recording(folder: Path, stride: int) -> Recording:
     """Return the used frames of a recording: those with a true pose, every so many of a video.
 
     Raises:
-        RecognizerError: a list cannot be used, or no frame has a true pose.
+        LoopcloseError: a list cannot be used, or no frame has a true pose.
     """
-    frames_s, paths = _read_frames(folder / "rgb.txt")
+    stamps_s, paths = read_images(folder / "rgb.txt")
+    frames_s, order = np.unique(stamps_s, return_index=True)
     truth_s, positions_m, quaternions = _read_truth(folder / "groundtruth.txt")
-    nearest = _nearest(frames_s, truth_s)
-    difference_s = np.abs(truth_s[nearest] - frames_s)
-    used = np.flatnonzero(difference_s <= MAX_TIME_DIFFERENCE_S)
+    in_truth = nearest(truth_s, frames_s)
+    difference_s = np.abs(truth_s[in_truth] - frames_s)
+    used = np.flatnonzero(difference_s <= _MAX_TIME_DIFFERENCE_S)
     if np.median(np.diff(frames_s, prepend=-np.inf)) <= MIN_GAP_S:
         used = used[::stride]
     if not len(used):
         raise RecognizerError(
-            f"no image has a true pose within {MAX_TIME_DIFFERENCE_S} s; the nearest is "
+            f"no image has a true pose within {_MAX_TIME_DIFFERENCE_S} s; the nearest is "
             f"{difference_s.min():.6g} s away: {folder}"
         )
     return Recording(
         timestamps_s=frames_s[used],
-        paths=tuple(paths[i] for i in used),
-        positions_m=positions_m[nearest[used]],
-        quaternions=quaternions[nearest[used]],
+        paths=tuple(paths[i] for i in order[used]),
+        positions_m=positions_m[in_truth[used]],
+        quaternions=quaternions[in_truth[used]],
     )
 
 
@@ -147,48 +146,12 @@ def _label(distance: FloatArray) -> NDArray[np.int64]:
     return labels
 
 
-def _read_frames(file: Path) -> tuple[FloatArray, list[Path]]:
-    stamps_s: list[float] = []
-    paths: list[Path] = []
-    for number, fields in read_rows(file):
-        if len(fields) != 2:
-            raise RecognizerError(f'line {number} is not "timestamp filename": {file}')
-        stamps_s += _numbers(fields[:1], number, file)
-        paths.append(file.parent / fields[1])
-    if not paths:
-        raise RecognizerError(f"the list names no image: {file}")
-    ordered_s, order = np.unique(stamps_s, return_index=True)
-    return ordered_s, [paths[i] for i in order]
-
-
 def _read_truth(file: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (N,) seconds, (N, 3) metres and (N, 4) unit quaternions."""
-    poses = [_numbers(fields, number, file) for number, fields in read_rows(file)]
+    poses = [pose for _, pose in read_poses(file)]
     if not poses:
         raise RecognizerError(f"the list holds no true pose: {file}")
-    if any(len(pose) != 8 for pose in poses):
-        raise RecognizerError(f'a line is not "timestamp tx ty tz qx qy qz qw": {file}')
     table = np.array(poses)
     table = table[np.unique(table[:, 0], return_index=True)[1]]
     lengths = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    if not lengths.all():
-        raise RecognizerError(f"a quaternion has the length zero: {file}")
     return table[:, 0], table[:, 1:4], table[:, 4:] / lengths
-
-
-def _numbers(fields: list[str], number: int, file: Path) -> list[float]:
-    try:
-        values = [float(field) for field in fields]
-    except ValueError:
-        values = [np.nan]
-    if not np.isfinite(values).all():
-        raise RecognizerError(f"line {number} holds something else than finite numbers: {file}")
-    return values
-
-
-def _nearest(times_s: FloatArray, among_s: FloatArray) -> NDArray[np.int64]:
-    """Return for each time the index of the nearest of (K,) increasing ones."""
-    after = np.searchsorted(among_s, times_s).clip(max=len(among_s) - 1)
-    before = (after - 1).clip(min=0)
-    is_before = times_s - among_s[before] < among_s[after] - times_s
-    return np.where(is_before, before, after)

@@ -18,14 +18,14 @@ from slam.types import Camera, SlamError
 CAMERA_FILE = "camera.toml"
 
 # At which the error on fr1_xyz is smallest, of 13, 20, 26 and 30 ms.
-KINECT_READOUT_S = 0.026
+_KINECT_READOUT_S = 0.026
 # Colour cameras of the TUM RGB-D benchmark: two Kinects, and a third camera whose images are
 # already undistorted and whose shutter was not looked at.
 _FREIBURG_1 = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
 _FREIBURG_2 = (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
 FREIBURG = {
-    "1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3, _FREIBURG_1, 5000.0, KINECT_READOUT_S),
-    "2": Camera(640, 480, 520.9, 521.0, 325.1, 249.7, _FREIBURG_2, 5000.0, KINECT_READOUT_S),
+    "1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3, _FREIBURG_1, 5000.0, _KINECT_READOUT_S),
+    "2": Camera(640, 480, 520.9, 521.0, 325.1, 249.7, _FREIBURG_2, 5000.0, _KINECT_READOUT_S),
     "3": Camera(640, 480, 535.4, 539.2, 320.1, 247.6, (0.0, 0.0, 0.0, 0.0, 0.0), 5000.0),
 }
 _FREIBURG_NAME = re.compile(r"(?:freiburg|(?<![a-z])fr)([123])(?!\d)", re.IGNORECASE)

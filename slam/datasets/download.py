@@ -19,7 +19,7 @@ from slam.types import SlamError
 _CORRUPTED = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError)
 
 
-def unpack(archive: Path, folder: Path) -> None:
+def _unpack(archive: Path, folder: Path) -> None:
     """Unpack the one sequence in a .tgz as `folder`, whole or not at all, and remove the .tgz.
 
     Raises:
@@ -85,7 +85,7 @@ def _sequence_in(folder: Path) -> Path:
     return found[0]
 
 
-SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
+_SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
 
 _SEQUENCES = {
     "1": "360 desk desk2 floor plant room rpy teddy xyz",
@@ -98,7 +98,7 @@ _SEQUENCES = {
     " structure_notexture_far structure_notexture_near structure_texture_far"
     " structure_texture_near teddy walking_halfsphere walking_rpy walking_static walking_xyz",
 }
-SHORT_NAMES = tuple(f"fr{n}_{name}" for n, names in _SEQUENCES.items() for name in names.split())
+_SHORT_NAMES = tuple(f"fr{n}_{name}" for n, names in _SEQUENCES.items() for name in names.split())
 _NICKNAMES = {
     "fr3_office": "fr3_long_office_household",
     "fr3_long_office": "fr3_long_office_household",
@@ -131,9 +131,9 @@ def _short_name(name: str) -> str:
     plain = name.lower().strip("/").replace("-", "_").replace("/", "_")
     plain = plain.removeprefix("rgbd_dataset_").replace("freiburg", "fr", 1)
     plain = _NICKNAMES.get(plain, plain)
-    if plain in SHORT_NAMES:
+    if plain in _SHORT_NAMES:
         return plain
-    close = get_close_matches(plain, (*SHORT_NAMES, *_NICKNAMES))
+    close = get_close_matches(plain, (*_SHORT_NAMES, *_NICKNAMES))
     hint = f"did you mean {' or '.join(close)}?" if close else "names look like fr1_desk;"
     raise SlamError(
         f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
@@ -147,7 +147,7 @@ def _local_roots() -> list[Path]:
 
 
 def _fetch(folder_name: str, progress: Progress | None) -> Path:
-    server = os.environ.get("LOOPCLOSE_TUM_URL", SERVER).rstrip("/")
+    server = os.environ.get("LOOPCLOSE_TUM_URL", _SERVER).rstrip("/")
     if not server.startswith(("https://", "http://")):
         raise SlamError(f"LOOPCLOSE_TUM_URL must start with https:// or http://: {server}")
     folder = cache_folder() / folder_name
@@ -162,6 +162,6 @@ def _fetch(folder_name: str, progress: Progress | None) -> Path:
     if not archive.exists():
         freiburg = folder_name.removeprefix("rgbd_dataset_").split("_")[0]
         download(f"{server}/{freiburg}/{archive.name}", archive, progress)
-    unpack(archive, folder)
+    _unpack(archive, folder)
     _log.info("downloaded to %s", folder)
     return folder

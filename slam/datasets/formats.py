@@ -60,7 +60,7 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
     """Open a recording in any known format.
 
     Raises:
-        SlamError: there is no such folder, it fits no format, or what it holds cannot be used.
+        LoopcloseError: there is no such folder, it fits no format, or what it holds cannot be used.
     """
     if not path.exists():
         raise SlamError(

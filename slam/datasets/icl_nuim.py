@@ -15,11 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.datasets.images import BrokenImage
+from placerec.datasets.tum_lists import as_numbers, read_lines
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, rescaled
-from slam.datasets.images import FRAMES_PER_S, BrokenImage, numbered_images
+from slam.datasets.images import FRAMES_PER_S, numbered_images
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import as_numbers, in_order, read_lines, read_pose_list, rigid
+from slam.datasets.true_poses import in_order, read_pose_list, rigid
 from slam.geometry import se3
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
@@ -35,7 +37,7 @@ def open_icl_nuim(path: Path, config: InputConfig) -> Sequence:
     Both count images, at 30 a second; the first image has no true pose.
 
     Raises:
-        SlamError: a list, the camera or most images are not usable.
+        LoopcloseError: a list, the camera or most images are not usable.
     """
     warnings: list[str] = []
     images = _read_associations(path / "associations.txt", warnings)
@@ -64,7 +66,7 @@ def _read_associations(file: Path, warnings: list[str]) -> list[ImagePair]:
     images = []
     for number, line in read_lines(file):
         fields = line.split()
-        frames = as_numbers(fields[::2])
+        frames = as_numbers(" ".join(fields[::2]))
         if len(fields) != 4 or frames is None or frames != [int(frames[0])] * 2:
             raise SlamError(
                 f'line {number} is not "frame depth-image frame colour-image", with the same whole'
@@ -85,7 +87,7 @@ def open_icl_nuim_original(path: Path, config: InputConfig) -> Sequence:
     A .depth holds a number per pixel, as text: the distance from the camera in metres.
 
     Raises:
-        SlamError: a pose, the camera or most images are not usable.
+        LoopcloseError: a pose, the camera or most images are not usable.
     """
     colors = numbered_images(path, _ORIGINAL_NAME)
     camera = rescaled(named_camera(path, config) or replace(CAMERA, depth_scale=1.0), config)
@@ -115,7 +117,7 @@ def _read_pov_pose(file: Path) -> FloatArray:
     vectors: dict[str, FloatArray] = {}
     for _, line in read_lines(file):
         if match := _VECTOR.match(line):
-            values = as_numbers(match[2].split(","))
+            values = as_numbers(match[2])
             if values is not None and len(values) == 3:
                 vectors[match[1]] = np.array(values)
     if len(vectors) != 3:

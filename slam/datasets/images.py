@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from cv2.typing import MatLike
 from numpy.typing import NDArray
 
+from placerec.datasets.images import BrokenImage, decode
 from slam.types import SlamError
 
 FRAMES_PER_S = 30.0
@@ -71,23 +71,13 @@ def numbered_images(folder: Path, name: re.Pattern[str] = ANY_IMAGE) -> dict[int
     return dict(sorted(found.items()))
 
 
-_PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
-_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
-_TAIL_BYTES = 64
 _NO_DEPTH = np.iinfo(np.uint16).max  # some sensors' drivers write it instead of 0
-
-
-class BrokenImage(NamedTuple):
-    """An image file that cannot be used, and why."""
-
-    path: Path
-    why: str
 
 
 def read_color(path: Path) -> NDArray[np.uint8] | BrokenImage:
     """Return a colour image as (H, W, 3) uint8 RGB; grey images get three equal channels."""
     # Turning an image as its EXIF data asks would tear it away from its depth image.
-    image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if isinstance(image, BrokenImage):
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -99,7 +89,7 @@ def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenIm
     Raises:
         SlamError: the image is not of the kind that holds depth.
     """
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    image = decode(path, cv2.IMREAD_UNCHANGED)
     if isinstance(image, BrokenImage):
         return image
     if image.dtype != np.uint16 or image.ndim != 2:
@@ -120,33 +110,9 @@ def read_size(paths: Iterable[Path]) -> tuple[int, int]:
     """
     broken = None
     for path in paths:
-        image = _decode(path, cv2.IMREAD_UNCHANGED)
+        image = decode(path, cv2.IMREAD_UNCHANGED)
         if not isinstance(image, BrokenImage):
             return image.shape[1], image.shape[0]
         broken = broken or image
     why = f"{broken.why}: {broken.path}" if broken else "there is none"
     raise SlamError(f"none of the images can be read; the first: {why}")
-
-
-def _decode(path: Path, flags: int) -> MatLike | BrokenImage:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        return BrokenImage(path, error.strerror or "cannot be read")
-    if _is_cut_off(data):
-        return BrokenImage(path, "the file is cut off")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        image = None
-    return BrokenImage(path, "not a readable image") if image is None else image
-
-
-def _is_cut_off(data: bytes) -> bool:
-    # The decoders fill what is missing with grey or zeros and report success.
-    tail = data.rstrip(b"\0")[-_TAIL_BYTES:]
-    if data.startswith(_PNG_START):
-        return _PNG_END not in tail
-    if data.startswith(_JPEG_START):
-        return _JPEG_END not in tail
-    return not tail

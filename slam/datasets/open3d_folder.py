@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
+from placerec.datasets.tum_lists import as_numbers, read_lines
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, read_intrinsics, rescaled
 from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import as_numbers, in_order, read_lines, read_pose_log
+from slam.datasets.true_poses import in_order, read_pose_log
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
-COLOR_FOLDERS = ("color", "rgb", "image")
+_COLOR_FOLDERS = ("color", "rgb", "image")
 _CAMERA_FILES = ("camera_intrinsic.json", "intrinsic.json")
 _MICROSECONDS = re.compile(r"\d+-(\d+)")  # of Redwood's names, such as 0000002-000000033369.jpg
 
@@ -29,17 +30,17 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
     time. Depth is in millimetres unless the camera file has another depth_scale.
 
     Raises:
-        SlamError: the trajectory, the camera or most images are not usable.
+        LoopcloseError: the trajectory, the camera or most images are not usable.
     """
     warnings: list[str] = []
     images = [
         ImagePair(_time_s(number, color), color, depth)
-        for number, color, depth in numbered_pairs(color_folder(path), path / "depth", warnings)
+        for number, color, depth in numbered_pairs(_color_folder(path), path / "depth", warnings)
     ]
     if (np.diff([pair.timestamp_s for pair in images]) <= 0.0).any():
         raise SlamError(
             "the times in the names of the images, microseconds behind the dash, do not increase"
-            f" with their numbers: {color_folder(path)}"
+            f" with their numbers: {_color_folder(path)}"
         )
     log = path / "trajectory.log"
     return Sequence(
@@ -51,9 +52,9 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
     )
 
 
-def color_folder(path: Path) -> Path:
+def _color_folder(path: Path) -> Path:
     """Return the folder of the colour images, under whichever of its usual names."""
-    return next(path / name for name in COLOR_FOLDERS if (path / name).is_dir())
+    return next(path / name for name in _COLOR_FOLDERS if (path / name).is_dir())
 
 
 def _time_s(number: int, color: Path) -> float:
@@ -97,16 +98,16 @@ def open_realsense(path: Path, config: InputConfig) -> Sequence:
     would otherwise follow each other by more than a second, as pyrealsense2 gives them.
 
     Raises:
-        SlamError: the times, the camera or most images are not usable.
+        LoopcloseError: the times, the camera or most images are not usable.
     """
     warnings: list[str] = []
-    pairs = numbered_pairs(color_folder(path), path / "depth", warnings)
+    pairs = numbered_pairs(_color_folder(path), path / "depth", warnings)
     names = ("timestamps.csv", "timestamps.txt")
     file = next(path / name for name in names if (path / name).is_file())
     stamps_s = _read_times(file, [pair.number for pair in pairs], warnings)
     timed = [pair for pair in pairs if pair.number in stamps_s]
     if not timed:
-        raise SlamError(f"no line is of an image in {color_folder(path).name}/: {file}")
+        raise SlamError(f"no line is of an image in {_color_folder(path).name}/: {file}")
     if len(timed) < len(pairs):
         warnings.append(
             f"{len(pairs) - len(timed)} of {len(pairs)} images have no line in {file.name} and are"
@@ -126,7 +127,7 @@ def open_realsense(path: Path, config: InputConfig) -> Sequence:
 def _read_times(file: Path, numbers: list[int], warnings: list[str]) -> dict[int, float]:
     """Return the time, seconds, of each numbered image that has one."""
     lines = list(read_lines(file))
-    if lines and not any(as_numbers([field]) for field in _SEPARATOR.split(lines[0][1])):
+    if lines and not any(as_numbers(field) for field in _SEPARATOR.split(lines[0][1])):
         del lines[0]  # the columns' names
     rows = [_read_row(number, line, file) for number, line in lines]
     if not rows:
@@ -153,7 +154,7 @@ def _read_row(number: int, line: str, file: Path) -> tuple[int | None, float]:
     fields = _SEPARATOR.split(line)
     named = ANY_IMAGE.fullmatch(Path(fields[0]).name)
     image = named[1] if named else fields[0]
-    values = as_numbers(fields[-1:] if len(fields) == 1 else fields[1:2])
+    values = as_numbers(fields[0] if len(fields) == 1 else fields[1])
     if values is None or (len(fields) > 1 and not image.isdecimal()):
         raise SlamError(f'line {number} is neither "image time" nor "time": {line!r}: {file}')
     return int(image) if len(fields) > 1 else None, values[0]

@@ -27,7 +27,7 @@ def open_scannet(path: Path, config: InputConfig) -> Sequence:
     to it.
 
     Raises:
-        SlamError: a matrix, the camera or most images are not usable.
+        LoopcloseError: a matrix, the camera or most images are not usable.
     """
     warnings: list[str] = []
     pairs = numbered_pairs(path / "color", path / "depth", warnings)

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.images import BrokenImage, read_color, read_depth
+from placerec.datasets.images import BrokenImage
+from slam.datasets.images import read_color, read_depth
 from slam.datasets.plausibility import doubts_about_depth, doubts_about_intrinsics
 from slam.datasets.registration import Registration
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory

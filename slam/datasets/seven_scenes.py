@@ -46,7 +46,7 @@ def open_seven_scenes(path: Path, config: InputConfig) -> Sequence:
     Where a camera is named, colour and depth are taken to be registered to it.
 
     Raises:
-        SlamError: a pose, the camera or most images are not usable.
+        LoopcloseError: a pose, the camera or most images are not usable.
     """
     warnings: list[str] = []
     named = named_camera(path, config)

@@ -1,41 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """True camera poses, in the ways that recordings write them down."""
 
-import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
+from placerec.datasets.tum_lists import as_numbers, read_lines, read_poses
+from slam.evaluation.trajectory import from_rows
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
-
-
-def read_lines(file: Path) -> Iterator[tuple[int, str]]:
-    """Yield (line number, text) of the lines that hold data: no comment, not empty.
-
-    Raises:
-        SlamError: the file cannot be read or is not text.
-    """
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise SlamError(f"cannot read the list: {error.strerror}: {file}") from error
-    except UnicodeDecodeError as error:
-        raise SlamError(f"the list is not text in UTF-8: {file}") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        stripped = line.strip()
-        if stripped and not stripped.startswith("#"):
-            yield number, stripped
-
-
-def as_numbers(fields: list[str]) -> list[float] | None:
-    """Return the fields as finite numbers, or None where one is none."""
-    try:
-        values = [float(field) for field in fields]
-    except ValueError:
-        return None
-    return values if np.isfinite(values).all() else None
 
 
 def in_order(stamps_s: FloatArray, file: Path, warnings: list[str]) -> list[int]:
@@ -53,8 +27,6 @@ def in_order(stamps_s: FloatArray, file: Path, warnings: list[str]) -> list[int]
     return kept
 
 
-_SEPARATOR = re.compile(r"[\s,]+")
-_MIN_QUATERNION_NORM = 1e-6
 _MAX_SKEW = 1e-2  # files with few digits are no exact rotations; a scale or a shear is none at all
 
 
@@ -62,28 +34,15 @@ def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
     """Read a pose per line, `timestamp tx ty tz qx qy qz qw`, or None where there is no line.
 
     Raises:
-        SlamError: a line is no pose in finite numbers.
+        LoopcloseError: a line is no pose in finite numbers.
     """
-    rows: list[list[float]] = []
-    for number, line in read_lines(file):
-        values = as_numbers(_SEPARATOR.split(line))
-        if values is None or len(values) != 8:
-            raise SlamError(
-                f'line {number} is not "timestamp tx ty tz qx qy qz qw" in finite numbers:'
-                f" {line!r}: {file}"
-            )
-        if np.linalg.norm(values[4:]) < _MIN_QUATERNION_NORM:
-            raise SlamError(f"line {number} has a quaternion of length zero: {line!r}: {file}")
-        rows.append(values)
+    rows = [pose for _, pose in read_poses(file)]
     if not rows:
         warnings.append(f"{file.name} holds no pose, so there is no ground truth")
         return None
     table = np.array(rows)
     table = table[in_order(table[:, 0], file, warnings)]
-    T_world_cam = np.tile(np.eye(4), (len(table), 1, 1))
-    T_world_cam[:, :3, :3] = se3.from_quaternion(table[:, 4:])
-    T_world_cam[:, :3, 3] = table[:, 1:4]
-    return Trajectory(table[:, 0], T_world_cam)
+    return from_rows(table)
 
 
 def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) -> Trajectory | None:
@@ -92,7 +51,7 @@ def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) ->
     A file that is missing, or holds -inf, means that the pose is not known.
 
     Raises:
-        SlamError: a file holds something else than a rigid pose.
+        LoopcloseError: a file holds something else than a rigid pose.
     """
     stamps_s: list[float] = []
     T_world_cam: list[FloatArray] = []
@@ -114,12 +73,12 @@ def read_pose_log(file: Path) -> list[tuple[int, FloatArray]]:
     """Read (frame number, T_world_cam) from a .log: a line `i j k`, then a (4, 4) matrix each.
 
     Raises:
-        SlamError: a block is not complete, or is no rigid pose.
+        LoopcloseError: a block is not complete, or is no rigid pose.
     """
     poses = []
     lines = read_lines(file)
     for number, line in lines:
-        head = as_numbers(line.split())
+        head = as_numbers(line)
         if head is None or len(head) != 3 or head[0] != int(head[0]):
             raise SlamError(f'line {number} is not "i j k", whole numbers: {line!r}: {file}')
         T = _next_matrix(lines, number, file)
@@ -128,7 +87,7 @@ def read_pose_log(file: Path) -> list[tuple[int, FloatArray]]:
 
 
 def _next_matrix(lines: Iterator[tuple[int, str]], after: int, file: Path) -> FloatArray:
-    rows = [as_numbers(line.split()) for _, (_, line) in zip(range(4), lines, strict=False)]
+    rows = [as_numbers(line) for _, (_, line) in zip(range(4), lines, strict=False)]
     if len(rows) != 4 or any(row is None or len(row) != 4 for row in rows):
         raise SlamError(
             f"after line {after} there are not four rows of four finite numbers, a pose: {file}"
@@ -140,11 +99,11 @@ def read_matrix(file: Path) -> FloatArray:
     """Read a text file that holds a (4, 4) matrix and nothing else; infinite values come as such.
 
     Raises:
-        SlamError: it holds something else.
+        LoopcloseError: it holds something else.
     """
     text = " ".join(line for _, line in read_lines(file))
     try:
-        values = [float(field) for field in _SEPARATOR.split(text)]
+        values = [float(field) for field in text.replace(",", " ").split()]
     except ValueError:
         values = []
     if len(values) != 16:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from placerec.datasets.tum_lists import nearest
 from slam.config import EvaluationConfig
-from slam.evaluation.trajectory import align, associate, nearest, path_length_m
+from slam.evaluation.trajectory import align, associate, path_length_m
 from slam.geometry import se3
 from slam.types import FloatArray, Keyframe, LoopAttempt, SlamError, Trajectory
 

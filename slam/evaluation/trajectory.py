@@ -5,57 +5,36 @@ from pathlib import Path
 
 import numpy as np
 
+from placerec.datasets.tum_lists import POSE_COLUMNS, nearest, read_poses
 from placerec.files import write_atomically
 from slam.geometry import se3
 from slam.types import FloatArray, IntArray, SlamError, Trajectory
-
-_COLUMNS = "timestamp tx ty tz qx qy qz qw"
 
 
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory in the TUM format: a pose per line, `#` starts a comment line.
 
     Raises:
-        SlamError: the file cannot be read, holds no pose, or a line is not a pose later than the
-            one before; the message names the line.
+        LoopcloseError: the file cannot be read, holds no pose, or a line is not a pose later than
+            the one before; the message names the line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise SlamError(f"cannot read the trajectory: {error.strerror}: {path}") from error
-    except UnicodeDecodeError as error:
-        raise SlamError(f"the trajectory is not a text file: {path}") from error
     rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            rows.append(_parse_pose(line, earlier_s=rows[-1][0] if rows else -np.inf))
-        except ValueError as error:
-            raise SlamError(f"line {number} of the trajectory: {error}: {path}") from error
+    for number, pose in read_poses(path):
+        if rows and pose[0] <= rows[-1][0]:
+            raise SlamError(
+                f"line {number} of the trajectory: timestamp {pose[0]:.6f} is not after the one"
+                f" before it, {rows[-1][0]:.6f}; sort the lines by time, one per timestamp: {path}"
+            )
+        rows.append(pose)
     if not rows:
-        raise SlamError(f"the trajectory holds no poses; expected lines of `{_COLUMNS}`: {path}")
-    return _from_rows(np.array(rows))
-
-
-def _parse_pose(line: str, earlier_s: float) -> list[float]:
-    words = line.replace(",", " ").split()
-    if len(words) != 8:
-        raise ValueError(f"{len(words)} values where 8 are expected, `{_COLUMNS}`")
-    values = [float(word) for word in words]
-    if not np.all(np.isfinite(values)):
-        raise ValueError(f"{line.strip()!r} holds a value that is not finite; remove the line")
-    if np.linalg.norm(values[4:]) < 1e-6:
-        raise ValueError("the quaternion qx qy qz qw has length 0, expected 1")
-    if values[0] <= earlier_s:
-        raise ValueError(
-            f"timestamp {values[0]:.6f} is not after the one before it, {earlier_s:.6f}; "
-            "sort the lines by time, one per timestamp"
+        raise SlamError(
+            f"the trajectory holds no poses; expected lines of `{POSE_COLUMNS}`: {path}"
         )
-    return values
+    return from_rows(np.array(rows))
 
 
-def _from_rows(rows: FloatArray) -> Trajectory:
+def from_rows(rows: FloatArray) -> Trajectory:
+    """Return the trajectory of (N, 8) rows of the TUM format, in increasing order of time."""
     T_world_cam = np.tile(np.eye(4), (len(rows), 1, 1))
     T_world_cam[:, :3, 3] = rows[:, 1:4]
     T_world_cam[:, :3, :3] = se3.from_quaternion(rows[:, 4:])
@@ -68,7 +47,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     Raises:
         LoopcloseError: the file cannot be written.
     """
-    lines = [f"# {_COLUMNS}"]
+    lines = [f"# {POSE_COLUMNS}"]
     for timestamp_s, T_world_cam in zip(
         trajectory.timestamps_s, trajectory.T_world_cam, strict=True
     ):
@@ -77,18 +56,6 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
         values = np.round(np.concatenate([T_world_cam[:3, 3], quaternion]), 9) + 0.0
         lines.append(" ".join([f"{timestamp_s:.6f}", *(f"{value:.9f}" for value in values)]))
     write_atomically(path, "\n".join(lines) + "\n")
-
-
-def nearest(stamps_s: FloatArray, wanted_s: FloatArray) -> IntArray:
-    """Return, for each of (M,) times, the index of the nearest of (N,) increasing stamps, N > 0.
-
-    The earlier of two stamps that are equally near wins.
-    """
-    after = np.clip(np.searchsorted(stamps_s, wanted_s), 1, max(len(stamps_s) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(stamps_s) - 1)
-    is_after = np.abs(stamps_s[after] - wanted_s) < np.abs(wanted_s - stamps_s[before])
-    return np.where(is_after, after, before)
 
 
 def associate(a: Trajectory, b: Trajectory, tolerance_s: float) -> tuple[IntArray, IntArray]:

@@ -13,7 +13,7 @@ import pytest
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
-from slam.demo.recording import render_sequence
+from slam.demo import render_sequence
 from slam.geometry import se3
 from slam.geometry.features import back_project
 from slam.result import SlamResult

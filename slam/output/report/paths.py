@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from placerec.datasets.tum_lists import nearest
 from slam.evaluation.drift import DriftReport
-from slam.evaluation.trajectory import nearest
 from slam.geometry import se3
 from slam.result import SlamResult
 from slam.types import FloatArray, IntArray, Trajectory

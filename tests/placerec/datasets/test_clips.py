@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.clips import PARTS, TEST_FLOORS, VALIDATION_FLOORS, read_clips
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError
 
 
 def test_parts_of_the_tower_share_no_floor_and_lose_no_image(real_data):
@@ -73,17 +73,17 @@ def test_broken_image_is_skipped_and_named(tower):
 
 
 def test_unknown_part_is_refused(tower):
-    with pytest.raises(RecognizerError, match=r"no part 'val'; there are: train, validation, test"):
+    with pytest.raises(LoopcloseError, match=r"no part 'val'; there are: train, validation, test"):
         read_clips(tower({"floor6": {"hall": 1}}), "val")
 
 
 def test_part_without_images_is_refused(tower):
-    with pytest.raises(RecognizerError, match="no image is of a floor for validation"):
+    with pytest.raises(LoopcloseError, match="no image is of a floor for validation"):
         read_clips(tower({"floor6": {"hall": 1}}), "validation")
 
 
 def test_file_name_of_another_kind_is_refused(tower):
     folder = tower({"floor6": {"hall": 1}})
     (folder / "dataset.csv").write_text("image_path,floor\nimages/IMG_1234.jpg,floor6\n")
-    with pytest.raises(RecognizerError, match=r"line 2 names 'IMG_1234\.jpg', not like"):
+    with pytest.raises(LoopcloseError, match=r"line 2 names 'IMG_1234\.jpg', not like"):
         read_clips(folder)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.frame_pairs import read_frame_pairs
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError
 
 
 def test_corridor_has_a_tolerance_of_two_frames(real_data):
@@ -60,11 +60,11 @@ def test_broken_reference_is_skipped_and_named(drives):
 )
 def test_unusable_table_is_refused_in_one_line(drives, table, message):
     (drives / "ground_truth.csv").write_text(table)
-    with pytest.raises(RecognizerError, match=message):
+    with pytest.raises(LoopcloseError, match=message):
         read_frame_pairs(drives)
 
 
 def test_missing_drive_is_refused(tmp_path, write_image):
     write_image(tmp_path / "query/0.png")
-    with pytest.raises(RecognizerError, match="there is no folder ref"):
+    with pytest.raises(LoopcloseError, match="there is no folder ref"):
         read_frame_pairs(tmp_path)

@@ -1,14 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from placerec.datasets.tables import read_csv, read_rows
-from placerec.errors import RecognizerError
-
-
-def test_rows_are_fields_without_comments_and_blanks(tmp_path):
-    file = tmp_path / "list.txt"
-    file.write_text("\ufeff# time name\n\n1.5  a.png\n  # more\n2,b.png,\n", encoding="utf-8")
-    assert list(read_rows(file)) == [(3, ["1.5", "a.png"]), (5, ["2", "b.png"])]
+from placerec.datasets.tables import read_csv, read_text
+from placerec.errors import LoopcloseError
 
 
 def test_csv_gives_the_named_columns_in_the_order_asked(tmp_path):
@@ -29,13 +23,13 @@ def test_csv_gives_the_named_columns_in_the_order_asked(tmp_path):
 def test_unfit_csv_is_refused(tmp_path, content, message):
     file = tmp_path / "table.csv"
     file.write_text(content)
-    with pytest.raises(RecognizerError, match=message):
+    with pytest.raises(LoopcloseError, match=message):
         list(read_csv(file, ("floor", "path")))
 
 
 def test_file_that_cannot_be_read_is_one_line(tmp_path):
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x80")
-    with pytest.raises(RecognizerError, match=r"binary\.txt is not text in UTF-8"):
-        list(read_rows(tmp_path / "binary.txt"))
-    with pytest.raises(RecognizerError, match=r"cannot read gone\.csv: No such file"):
+    with pytest.raises(LoopcloseError, match=r"binary\.txt is not text in UTF-8"):
+        read_text(tmp_path / "binary.txt")
+    with pytest.raises(LoopcloseError, match=r"cannot read gone\.csv: No such file"):
         list(read_csv(tmp_path / "gone.csv", ("a",)))

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.tum import pose_distance, read_tum, read_tum_sessions
-from placerec.errors import RecognizerError
+from placerec.errors import LoopcloseError
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
@@ -112,7 +112,7 @@ def test_truth_within_20_ms_is_used_on_either_side(recording):
 
 
 def test_truth_of_another_time_is_refused(recording):
-    with pytest.raises(RecognizerError, match=r"^no image has a true pose within 0\.02 s.*0\.3 s"):
+    with pytest.raises(LoopcloseError, match=r"^no image has a true pose within 0\.02 s.*0\.3 s"):
         read_tum(recording(truth_lag_s=0.3))
 
 
@@ -129,12 +129,12 @@ def test_missing_image_is_skipped_and_named(recording):
     [
         ("rgb.txt", "# nothing\n", "the list names no image"),
         ("rgb.txt", "1.0\n", "line 1 is not"),
-        ("rgb.txt", "soon rgb/0.png\n", "line 1 holds something else than finite numbers"),
+        ("rgb.txt", "soon rgb/0.png\n", "line 1 is not .*soon"),
         ("rgb.txt", None, r"cannot read rgb\.txt: No such file"),
         ("groundtruth.txt", "", "the list holds no true pose"),
-        ("groundtruth.txt", "1 2 3\n", "a line is not"),
-        ("groundtruth.txt", "0 nan 0 0 0 0 0 1\n", "line 1 holds something else"),
-        ("groundtruth.txt", "0 0 0 0 0 0 0 0\n", "a quaternion has the length zero"),
+        ("groundtruth.txt", "1 2 3\n", "line 1 is not .*1 2 3"),
+        ("groundtruth.txt", "0 nan 0 0 0 0 0 1\n", "line 1 is not .* in finite numbers"),
+        ("groundtruth.txt", "0 0 0 0 0 0 0 0\n", "line 1 has a quaternion of length zero"),
         ("groundtruth.txt", None, r"cannot read groundtruth\.txt: No such file"),
     ],
 )
@@ -144,7 +144,7 @@ def test_unusable_list_is_refused_in_one_line(recording, name, content, message)
         (folder / name).unlink()
     else:
         (folder / name).write_text(content)
-    with pytest.raises(RecognizerError, match=message) as caught:
+    with pytest.raises(LoopcloseError, match=message) as caught:
         read_tum(folder)
     assert "\n" not in str(caught.value)
 
@@ -152,7 +152,7 @@ def test_unusable_list_is_refused_in_one_line(recording, name, content, message)
 def test_list_that_is_no_text_is_refused(recording):
     folder = recording()
     (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(RecognizerError, match="not text in UTF-8"):
+    with pytest.raises(LoopcloseError, match="not text in UTF-8"):
         read_tum(folder)
 
 

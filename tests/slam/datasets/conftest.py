@@ -2,6 +2,7 @@
 """Recordings to be read: tiny ones, and the same few rendered frames in every format."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets import write_camera
+from placerec.errors import LoopcloseError
+from slam.config import InputConfig
+from slam.datasets import Sequence, open_sequence, write_camera
 from slam.demo import build_room, drive, render
 from slam.demo.room import Room
 from slam.geometry.se3 import to_quaternion
@@ -21,6 +24,24 @@ CAMERA = Camera(32, 24, 30.0, 30.0, 15.5, 11.5, depth_scale=5000.0)
 ROOM_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
 FRAMES_PER_S = 30.0
 MakeFolder = Callable[..., Path]
+
+
+@pytest.fixture
+def opened() -> Callable[[Path], Sequence]:
+    return lambda folder: open_sequence(folder, InputConfig())
+
+
+@pytest.fixture
+def fails() -> Callable[..., str]:
+    """Return what opens and reads a folder, and returns the one line that this is refused with."""
+
+    def refused(folder: Path, said: str, config: InputConfig | None = None) -> str:
+        with pytest.raises(LoopcloseError, match=re.escape(said)) as caught:
+            list(open_sequence(folder, config or InputConfig()))
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    return refused
 
 
 @pytest.fixture

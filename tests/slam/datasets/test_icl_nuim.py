@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.config import InputConfig
-from slam.datasets import Sequence, open_sequence, write_camera
+from slam.datasets import Sequence, write_camera
 from slam.datasets.icl_nuim import CAMERA
-from slam.types import SlamError
 
 Export = Callable[[str, Any], Path]
+Fails = Callable[..., str]
+Opened = Callable[[Path], Sequence]
 FORMS = ("icl_nuim", "icl_nuim_original")
 
 
@@ -36,17 +35,6 @@ def tiny(export: Export, tiny_walk: Any) -> Callable[..., Path]:
     return written
 
 
-def opened(folder: Path) -> Sequence:
-    return open_sequence(folder, InputConfig())
-
-
-def fails(folder: Path, said: str) -> str:
-    with pytest.raises(SlamError, match=re.escape(said)) as caught:
-        list(opened(folder))
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 def world_point_as_published(folder: Path, frame: int, u: int, v: int, depth_m: float) -> Any:
     """Unproject a pixel with what the authors publish: fy = -480 and the pose as it stands."""
     rows = np.loadtxt(folder / "traj0.gt.freiburg")
@@ -56,7 +44,7 @@ def world_point_as_published(folder: Path, frame: int, u: int, v: int, depth_m: 
 
 
 def test_the_same_point_is_the_mirrored_one_of_the_published_convention(
-    export: Export, full_size: Any
+    export: Export, full_size: Any, opened: Opened
 ) -> None:
     folder = export("icl_nuim", full_size)
     sequence = opened(folder)
@@ -72,7 +60,7 @@ def test_the_same_point_is_the_mirrored_one_of_the_published_convention(
 
 @pytest.mark.parametrize("form", FORMS)
 def test_two_frames_see_the_same_surfaces_at_the_same_place(
-    export: Export, full_size: Any, disagreement: Callable[..., Any], form: str
+    export: Export, full_size: Any, disagreement: Callable[..., Any], form: str, opened: Opened
 ) -> None:
     sequence = opened(export(form, full_size))
     assert (sequence.camera.fy, len(sequence)) == (480.0, 4)
@@ -83,7 +71,9 @@ def test_two_frames_see_the_same_surfaces_at_the_same_place(
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_truth_is_right_handed_and_of_each_image(export: Export, full_size: Any, form: str) -> None:
+def test_truth_is_right_handed_and_of_each_image(
+    export: Export, full_size: Any, form: str, opened: Opened
+) -> None:
     truth = opened(export(form, full_size)).ground_truth
     assert truth is not None
     first = 1 if form == "icl_nuim" else 0  # the benchmark's lists leave the first pose out
@@ -92,14 +82,16 @@ def test_truth_is_right_handed_and_of_each_image(export: Export, full_size: Any,
     np.testing.assert_allclose(np.linalg.det(truth.T_world_cam[:, :3, :3]), 1.0)
 
 
-def test_distances_along_rays_become_depth(export: Export, full_size: Any) -> None:
+def test_distances_along_rays_become_depth(export: Export, full_size: Any, opened: Opened) -> None:
     frame = opened(export("icl_nuim_original", full_size)).frame(2)
     assert frame.depth_m.dtype == np.float32
     np.testing.assert_allclose(frame.depth_m, full_size.depth_m[2], atol=2e-5)
     assert (frame.rgb == full_size.rgb[2]).all()
 
 
-def test_frames_come_by_number_with_colour_or_depth_first(tiny: Callable[..., Path]) -> None:
+def test_frames_come_by_number_with_colour_or_depth_first(
+    tiny: Callable[..., Path], opened: Opened
+) -> None:
     folder = tiny()
     lines = (folder / "associations.txt").read_text().splitlines()
     turned = [" ".join([*line.split()[2:], *line.split()[:2]]) for line in lines]
@@ -120,32 +112,34 @@ def test_frames_come_by_number_with_colour_or_depth_first(tiny: Callable[..., Pa
         ("nan depth/7.png nan rgb/7.png", "line 7 is not"),
     ],
 )
-def test_a_malformed_association_is_named(tiny: Callable[..., Path], line: str, said: str) -> None:
+def test_a_malformed_association_is_named(
+    tiny: Callable[..., Path], line: str, said: str, fails: Fails
+) -> None:
     folder = tiny()
     with (folder / "associations.txt").open("a") as file:
         file.write(line)
     assert fails(folder, said).endswith("associations.txt")
 
 
-def test_an_empty_list_is_named(tiny: Callable[..., Path]) -> None:
+def test_an_empty_list_is_named(tiny: Callable[..., Path], fails: Fails) -> None:
     folder = tiny()
     (folder / "associations.txt").write_text("")
     fails(folder, "the list names no image")
 
 
-def test_a_pose_that_is_not_finite_is_named(tiny: Callable[..., Path]) -> None:
+def test_a_pose_that_is_not_finite_is_named(tiny: Callable[..., Path], fails: Fails) -> None:
     folder = tiny()
     (folder / "traj0.gt.freiburg").write_text("1 0 0 nan 0 0 0 1\n")
     assert fails(folder, "line 1 is not").endswith("traj0.gt.freiburg")
 
 
-def test_two_truths_are_one_too_many(tiny: Callable[..., Path]) -> None:
+def test_two_truths_are_one_too_many(tiny: Callable[..., Path], fails: Fails) -> None:
     folder = tiny()
     (folder / "livingRoom0.gt.freiburg").write_text("1 0 0 0 0 0 0 1\n")
     fails(folder, "livingRoom0.gt.freiburg and traj0.gt.freiburg")
 
 
-def test_images_of_another_size_are_named(export: Export, tiny_walk: Any) -> None:
+def test_images_of_another_size_are_named(export: Export, tiny_walk: Any, fails: Fails) -> None:
     fails(export("icl_nuim", tiny_walk), "has 32x24 pixels but the camera 640x480")
 
 
@@ -156,7 +150,9 @@ def test_images_of_another_size_are_named(export: Export, tiny_walk: Any) -> Non
         ("1.0 two 3.0", "not a list of numbers"),
     ],
 )
-def test_a_broken_depth_text_is_skipped(tiny: Callable[..., Path], content: str, why: str) -> None:
+def test_a_broken_depth_text_is_skipped(
+    tiny: Callable[..., Path], content: str, why: str, opened: Opened
+) -> None:
     folder = tiny("icl_nuim_original")
     (folder / "scene_00_0002.depth").write_text(content)
     (folder / "scene_00_0004.depth").unlink()
@@ -165,7 +161,9 @@ def test_a_broken_depth_text_is_skipped(tiny: Callable[..., Path], content: str,
     assert [broken.why for broken in sequence.skipped] == [why, "the file is missing"]
 
 
-def test_an_original_pose_may_be_missing_but_not_wrong(tiny: Callable[..., Path]) -> None:
+def test_an_original_pose_may_be_missing_but_not_wrong(
+    tiny: Callable[..., Path], fails: Fails, opened: Opened
+) -> None:
     folder = tiny("icl_nuim_original")
     (folder / "scene_00_0002.txt").unlink()
     truth = opened(folder).ground_truth

@@ -5,7 +5,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.images import BrokenImage, read_color, read_depth
+from placerec.datasets.images import BrokenImage
+from slam.datasets.images import read_color, read_depth
 from slam.types import SlamError
 
 NOISE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.config import InputConfig
-from slam.datasets import Sequence, open_sequence, write_camera
+from slam.datasets import Sequence, write_camera
 from slam.demo.room import Room, render
-from slam.types import Camera, SlamError
+from slam.types import Camera
 
 Export = Callable[[str, Any], Path]
+Fails = Callable[..., str]
+Opened = Callable[[Path], Sequence]
 
 # Half the size of what scene0000_00 was recorded with, and the same proportions.
 COLOR = Camera(648, 484, 584.8, 583.5, 322.9, 244.7, depth_scale=1000.0)
@@ -32,19 +32,8 @@ def tiny(export: Export, tiny_walk: Any) -> Path:
     return export("scannet", tiny_walk)
 
 
-def opened(folder: Path) -> Sequence:
-    return open_sequence(folder, InputConfig())
-
-
-def fails(folder: Path, said: str) -> str:
-    with pytest.raises(SlamError, match=re.escape(said)) as caught:
-        list(opened(folder))
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 def test_colour_is_brought_to_the_size_of_depth_and_fits_it(
-    export: Export, scan: Any, room: Room
+    export: Export, scan: Any, room: Room, opened: Opened
 ) -> None:
     sequence = opened(export("scannet", scan))
     camera, frame = sequence.camera, sequence.frame(1)
@@ -61,7 +50,7 @@ def test_colour_is_brought_to_the_size_of_depth_and_fits_it(
 
 
 def test_two_frames_see_the_same_surfaces_at_the_same_place(
-    export: Export, scan: Any, disagreement: Callable[..., Any]
+    export: Export, scan: Any, disagreement: Callable[..., Any], opened: Opened
 ) -> None:
     off_m = disagreement(opened(export("scannet", scan)), 0, 2)
     assert len(off_m) > 30_000
@@ -69,7 +58,7 @@ def test_two_frames_see_the_same_surfaces_at_the_same_place(
 
 
 def test_without_the_depth_cameras_intrinsics_it_sees_what_colour_sees(
-    export: Export, scan: Any
+    export: Export, scan: Any, opened: Opened
 ) -> None:
     folder = export("scannet", scan)
     with_both = opened(folder)
@@ -82,7 +71,7 @@ def test_without_the_depth_cameras_intrinsics_it_sees_what_colour_sees(
 
 
 def test_colour_that_was_made_small_when_exported_has_the_depth_cameras_intrinsics(
-    export: Export, scan: Any
+    export: Export, scan: Any, opened: Opened
 ) -> None:
     folder = export("scannet", scan)
     for path in (folder / "color").iterdir():
@@ -91,7 +80,7 @@ def test_colour_that_was_made_small_when_exported_has_the_depth_cameras_intrinsi
     assert opened(folder).camera == DEPTH
 
 
-def test_where_a_camera_is_named_nothing_is_moved(export: Export, scan: Any) -> None:
+def test_where_a_camera_is_named_nothing_is_moved(export: Export, scan: Any, fails: Fails) -> None:
     folder = export("scannet", scan)
     write_camera(folder / "camera.toml", COLOR)
     fails(folder, "a depth image has 320x240 pixels but its colour image 648x484")
@@ -99,7 +88,7 @@ def test_where_a_camera_is_named_nothing_is_moved(export: Export, scan: Any) -> 
     fails(folder, "a colour image has 648x484 pixels but the camera 320x240")
 
 
-def test_numbers_are_counted_not_spelled_and_tell_the_time(tiny: Path) -> None:
+def test_numbers_are_counted_not_spelled_and_tell_the_time(tiny: Path, opened: Opened) -> None:
     for kind, suffix in (("color", "png"), ("depth", "png"), ("pose", "txt")):
         (tiny / f"{kind}/5.{suffix}").rename(tiny / f"{kind}/10.{suffix}")
     sequence = opened(tiny)
@@ -110,12 +99,12 @@ def test_numbers_are_counted_not_spelled_and_tell_the_time(tiny: Path) -> None:
     assert sequence.ground_truth.T_world_cam[:, 0, 3].tolist() == list(range(6))
 
 
-def test_two_images_of_one_number_are_one_too_many(tiny: Path) -> None:
+def test_two_images_of_one_number_are_one_too_many(tiny: Path, fails: Fails) -> None:
     (tiny / "color/0003.jpg").write_bytes(b"")
     fails(tiny, "two images have the number 3, 0003.jpg and 3.png")
 
 
-def test_a_pose_of_minus_infinity_is_unknown(tiny: Path) -> None:
+def test_a_pose_of_minus_infinity_is_unknown(tiny: Path, opened: Opened) -> None:
     for i in (1, 4):
         (tiny / f"pose/{i}.txt").write_text("-inf -inf -inf -inf\n" * 4)
     sequence = opened(tiny)
@@ -125,32 +114,34 @@ def test_a_pose_of_minus_infinity_is_unknown(tiny: Path) -> None:
     assert "2 of 6 frames have no true pose" in sequence.warnings[0]
 
 
-def test_a_pose_that_is_not_a_number_is_named(tiny: Path) -> None:
+def test_a_pose_that_is_not_a_number_is_named(tiny: Path, fails: Fails) -> None:
     (tiny / "pose/2.txt").write_text("nan nan nan nan\n" * 4)
     assert fails(tiny, "not finite").endswith("pose/2.txt")
 
 
-def test_a_recording_without_poses_has_no_truth(tiny: Path) -> None:
+def test_a_recording_without_poses_has_no_truth(tiny: Path, opened: Opened) -> None:
     for file in (tiny / "pose").iterdir():
         file.unlink()
     (tiny / "pose").rmdir()
     assert opened(tiny).ground_truth is None
 
 
-def test_depth_without_colour_is_said(tiny: Path) -> None:
+def test_depth_without_colour_is_said(tiny: Path, opened: Opened) -> None:
     (tiny / "color/2.png").unlink()
     sequence = opened(tiny)
     assert len(sequence) == 5
     assert "1 of 6 depth images have no colour image" in sequence.warnings[0]
 
 
-def test_a_folder_without_images_is_named(tiny: Path) -> None:
+def test_a_folder_without_images_is_named(tiny: Path, fails: Fails) -> None:
     for file in (tiny / "depth").iterdir():
         file.unlink()
     assert fails(tiny, "the folder holds no numbered image").endswith("depth")
 
 
-def test_sizes_are_of_the_first_image_that_is_whole(tiny: Path) -> None:
+def test_sizes_are_of_the_first_image_that_is_whole(
+    tiny: Path, fails: Fails, opened: Opened
+) -> None:
     broken = tiny / "color/0.png"
     broken.write_bytes(broken.read_bytes()[:-20])
     sequence = opened(tiny)
@@ -169,6 +160,6 @@ def test_sizes_are_of_the_first_image_that_is_whole(tiny: Path) -> None:
         ("nan 0 15 0\n0 30 11 0\n0 0 1 0\n0 0 0 1\n", "camera key fx = "),
     ],
 )
-def test_intrinsics_that_are_none_are_named(tiny: Path, text: str, said: str) -> None:
+def test_intrinsics_that_are_none_are_named(tiny: Path, text: str, said: str, fails: Fails) -> None:
     (tiny / "intrinsic/intrinsic_depth.txt").write_text(text)
     assert fails(tiny, said).endswith("intrinsic_depth.txt")

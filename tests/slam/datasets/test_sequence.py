@@ -8,17 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.config import InputConfig
-from slam.datasets import Sequence, open_sequence
-from slam.datasets.images import BrokenImage
+from placerec.datasets.images import BrokenImage
+from slam.datasets import Sequence
 from slam.datasets.sequence import ImagePair
 from slam.types import Frame, SlamError
 
 MakeFolder = Callable[..., Path]
-
-
-def opened(folder: Path) -> Sequence:
-    return open_sequence(folder, InputConfig())
+Opened = Callable[[Path], Sequence]
 
 
 def reader_threads() -> list[str]:
@@ -33,7 +29,7 @@ def red(sequence: Sequence) -> list[int]:
     return [int(frame.rgb[0, 0, 0]) for frame in sequence]
 
 
-def test_frames_come_in_order_each_time(make_folder: MakeFolder) -> None:
+def test_frames_come_in_order_each_time(make_folder: MakeFolder, opened: Opened) -> None:
     sequence = opened(make_folder(40))
     assert red(sequence) == list(range(40))
     assert red(sequence) == list(range(40))
@@ -41,23 +37,23 @@ def test_frames_come_in_order_each_time(make_folder: MakeFolder) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 4, 5, 6])
-def test_short_sequences_come_whole(make_folder: MakeFolder, count: int) -> None:
+def test_short_sequences_come_whole(make_folder: MakeFolder, count: int, opened: Opened) -> None:
     assert red(opened(make_folder(count))) == list(range(count))
 
 
-def test_a_frame_can_be_read_alone(make_folder: MakeFolder) -> None:
+def test_a_frame_can_be_read_alone(make_folder: MakeFolder, opened: Opened) -> None:
     sequence = opened(make_folder())
     frame = sequence.frame(4)
     assert (frame.timestamp_s, frame.rgb[0, 0, 0]) == (sequence.timestamps_s[4], 4)
 
 
-def test_a_loop_left_early_leaves_no_thread(make_folder: MakeFolder) -> None:
+def test_a_loop_left_early_leaves_no_thread(make_folder: MakeFolder, opened: Opened) -> None:
     for _frame in opened(make_folder(40)):
         break
     assert reader_threads() == []
 
 
-def test_an_interrupted_loop_leaves_no_thread(make_folder: MakeFolder) -> None:
+def test_an_interrupted_loop_leaves_no_thread(make_folder: MakeFolder, opened: Opened) -> None:
     def interrupted(sequence: Sequence) -> None:
         for _frame in sequence:
             raise KeyboardInterrupt
@@ -68,7 +64,7 @@ def test_an_interrupted_loop_leaves_no_thread(make_folder: MakeFolder) -> None:
 
 
 def test_a_few_frames_are_read_ahead(
-    make_folder: MakeFolder, monkeypatch: pytest.MonkeyPatch
+    make_folder: MakeFolder, monkeypatch: pytest.MonkeyPatch, opened: Opened
 ) -> None:
     sequence = opened(make_folder(40))
     started: list[float] = []
@@ -89,7 +85,7 @@ def test_a_few_frames_are_read_ahead(
     assert sorted(started) == sequence.timestamps_s[:5].tolist()
 
 
-def test_a_missing_file_is_left_out_from_the_start(make_folder: MakeFolder) -> None:
+def test_a_missing_file_is_left_out_from_the_start(make_folder: MakeFolder, opened: Opened) -> None:
     folder = make_folder()
     (folder / "depth/2.png").unlink()
     sequence = opened(folder)
@@ -101,7 +97,7 @@ def test_a_missing_file_is_left_out_from_the_start(make_folder: MakeFolder) -> N
 
 
 def test_a_broken_image_is_skipped_once_and_recorded(
-    make_folder: MakeFolder, capfd: pytest.CaptureFixture[str]
+    make_folder: MakeFolder, capfd: pytest.CaptureFixture[str], opened: Opened
 ) -> None:
     folder = make_folder()
     cut(folder / "rgb/1.png")
@@ -119,7 +115,9 @@ def test_a_broken_image_is_skipped_once_and_recorded(
         sequence.frame(1)
 
 
-def test_half_of_the_frames_may_be_missing_but_not_more(make_folder: MakeFolder) -> None:
+def test_half_of_the_frames_may_be_missing_but_not_more(
+    make_folder: MakeFolder, opened: Opened
+) -> None:
     folder = make_folder()
     for i in range(3):
         (folder / f"rgb/{i}.png").unlink()
@@ -130,7 +128,7 @@ def test_half_of_the_frames_may_be_missing_but_not_more(make_folder: MakeFolder)
 
 
 def test_more_than_half_broken_is_an_error_as_soon_as_it_is_certain(
-    make_folder: MakeFolder,
+    make_folder: MakeFolder, opened: Opened
 ) -> None:
     folder = make_folder(8)
     (folder / "rgb/0.png").unlink()
@@ -141,7 +139,9 @@ def test_more_than_half_broken_is_an_error_as_soon_as_it_is_certain(
         next(frames)
 
 
-def test_depth_of_another_size_names_both_sizes_and_the_file(make_folder: MakeFolder) -> None:
+def test_depth_of_another_size_names_both_sizes_and_the_file(
+    make_folder: MakeFolder, opened: Opened
+) -> None:
     folder = make_folder(40)
     odd = folder / "depth/7.png"
     cv2.imwrite(str(odd), np.full((12, 16), 5000, np.uint16))
@@ -153,14 +153,14 @@ def test_depth_of_another_size_names_both_sizes_and_the_file(make_folder: MakeFo
     assert reader_threads() == []
 
 
-def test_depth_of_another_kind_is_found_at_once(make_folder: MakeFolder) -> None:
+def test_depth_of_another_kind_is_found_at_once(make_folder: MakeFolder, opened: Opened) -> None:
     folder = make_folder()
     cv2.imwrite(str(folder / "depth/0.png"), np.zeros((24, 32), np.uint8))
     with pytest.raises(SlamError, match="uint8"):
         opened(folder)
 
 
-def test_mostly_missing_depth_is_a_warning(make_folder: MakeFolder) -> None:
+def test_mostly_missing_depth_is_a_warning(make_folder: MakeFolder, opened: Opened) -> None:
     folder = make_folder(2)
     for i in range(2):
         cv2.imwrite(str(folder / f"depth/{i}.png"), np.zeros((24, 32), np.uint16))

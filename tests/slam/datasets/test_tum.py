@@ -1,27 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
-import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slam.config import InputConfig
 from slam.datasets import open_sequence
-from slam.types import SlamError
+from slam.datasets.tum import associate
 
 MakeFolder = Callable[..., Path]
+Fails = Callable[..., str]
 CONFIG = InputConfig()
 DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[4] / "shared/data"))
 DESK = DATA / "rgbd_dataset_freiburg1_desk"
-
-
-def fails(folder: Path, said: str, config: InputConfig = CONFIG) -> str:
-    with pytest.raises(SlamError, match=re.escape(said)) as caught:
-        open_sequence(folder, config)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def edit(file: Path, change: Callable[[list[str]], list[str]]) -> None:
@@ -54,20 +50,22 @@ def test_a_relative_path_has_its_folders_name(
 
 
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])
-def test_an_empty_list_is_named(make_folder: MakeFolder, name: str) -> None:
+def test_an_empty_list_is_named(make_folder: MakeFolder, name: str, fails: Fails) -> None:
     folder = make_folder()
     (folder / name).write_text("# only a comment\n\n")
     assert fails(folder, "the list names no image").endswith(name)
 
 
 @pytest.mark.parametrize("line", ["100.25", "soon rgb/3.png", "nan rgb/3.png", "inf rgb/3.png"])
-def test_a_malformed_line_is_named_with_its_number(make_folder: MakeFolder, line: str) -> None:
+def test_a_malformed_line_is_named_with_its_number(
+    make_folder: MakeFolder, line: str, fails: Fails
+) -> None:
     folder = make_folder()
     edit(folder / "rgb.txt", lambda lines: [*lines[:3], line, *lines[3:]])
     fails(folder, f'line 4 is not "timestamp filename": {line!r}')
 
 
-def test_a_list_that_is_not_text_is_named(make_folder: MakeFolder) -> None:
+def test_a_list_that_is_not_text_is_named(make_folder: MakeFolder, fails: Fails) -> None:
     folder = make_folder()
     (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00")
     fails(folder, "not text in UTF-8")
@@ -108,7 +106,7 @@ def test_images_without_partner_are_counted(make_folder: MakeFolder) -> None:
     assert "2 of 10 colour images have no depth image within 0.02 s" in sequence.warnings[0]
 
 
-def test_no_pair_says_the_smallest_gap_and_the_flag(make_folder: MakeFolder) -> None:
+def test_no_pair_says_the_smallest_gap_and_the_flag(make_folder: MakeFolder, fails: Fails) -> None:
     folder = make_folder()
     tight = InputConfig(max_time_difference_s=0.003)
     said = fails(folder, "the smallest difference is 0.004 s, allowed are 0.003 s", tight)
@@ -139,7 +137,7 @@ def test_ground_truth_is_poses_of_the_camera(make_folder: MakeFolder) -> None:
     ],
 )
 def test_malformed_ground_truth_is_named_with_its_line(
-    make_folder: MakeFolder, line: str, said: str
+    make_folder: MakeFolder, line: str, said: str, fails: Fails
 ) -> None:
     folder = make_folder()
     (folder / "groundtruth.txt").write_text(f"100.0 0 0 0 0 0 0 1\n{line}\n")
@@ -167,7 +165,9 @@ def test_ground_truth_without_a_pose_is_none_and_said(make_folder: MakeFolder) -
     assert "no ground truth" in sequence.warnings[0]
 
 
-def test_a_camera_of_another_image_size_names_both_sizes(make_folder: MakeFolder) -> None:
+def test_a_camera_of_another_image_size_names_both_sizes(
+    make_folder: MakeFolder, fails: Fails
+) -> None:
     folder = make_folder(name="fr1_tiny")
     (folder / "camera.toml").unlink()
     said = fails(folder, "a colour image has 32x24 pixels but the camera 640x480")
@@ -202,3 +202,59 @@ def test_every_depth_image_of_fr1_desk_finds_its_colour_image() -> None:
         assert frame.timestamp_s == sequence.timestamps_s[i]
         assert frame.rgb.shape == (480, 640, 3)
         assert 0.5 < np.median(frame.depth_m[frame.depth_m > 0]) < 3.0
+
+
+# Whole milliseconds: sums and differences stay exact, so "as close as" has one meaning.
+stamps = st.lists(st.integers(0, 400), min_size=1, max_size=7, unique=True).map(
+    lambda values: np.array(sorted(values), dtype=np.float64)
+)
+
+
+def best_of_all_pairings(first: np.ndarray, second: np.ndarray, limit: float) -> tuple[int, float]:
+    """Try every way to pair in the order of time; return (pairs, minus total difference)."""
+
+    @cache
+    def best(i: int, k: int) -> tuple[int, float]:
+        if i == len(first) or k == len(second):
+            return 0, 0.0
+        options = [best(i + 1, k), best(i, k + 1)]
+        gap = abs(first[i] - second[k])
+        if gap <= limit:
+            count, cost = best(i + 1, k + 1)
+            options.append((count + 1, cost - gap))
+        return max(options)
+
+    return best(0, 0)
+
+
+@given(stamps, stamps, st.integers(1, 60))
+def test_no_other_pairing_has_more_or_closer_pairs(
+    first: np.ndarray, second: np.ndarray, limit: int
+) -> None:
+    pairs = associate(first, second, float(limit))
+    gaps = np.abs(first[pairs[:, 0]] - second[pairs[:, 1]])
+    assert (gaps <= limit).all()
+    assert (np.diff(pairs, axis=0) > 0).all()
+    assert (len(pairs), -gaps.sum()) == best_of_all_pairings(first, second, float(limit))
+
+
+def test_no_pairs_have_the_shape_of_pairs() -> None:
+    assert associate(np.array([0.0]), np.array([1.0]), 0.5).shape == (0, 2)
+
+
+def test_the_closer_one_gets_the_partner() -> None:
+    pairs = associate(np.array([0.0, 1.0]), np.array([0.9]), 2.0)
+    assert pairs.tolist() == [[1, 0]]
+
+
+def test_streams_half_a_period_out_of_step_lose_no_frame() -> None:
+    first = np.arange(300) / 30.0
+    jitter = np.where(np.arange(300) % 2, 0.001, -0.001)
+    assert len(associate(first, first + 1 / 60 + jitter, 0.02)) == 300
+
+
+def test_a_limit_longer_than_the_recording_pairs_it_all() -> None:
+    first = np.arange(5000) / 30.0
+    pairs = associate(first, first + 0.001, 1e9)
+    assert (pairs[:, 0] == pairs[:, 1]).all()
+    assert len(pairs) == 5000
