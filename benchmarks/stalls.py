@@ -28,7 +28,7 @@ from sequences import find, machine
 
 from placerec.recognizer import PlaceRecognizer, load
 from slam import Config, Slam, TrackedFrame, open_sequence
-from slam.cli import DEFAULT_RECOGNIZER
+from slam.__main__ import DEFAULT_RECOGNIZER
 from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd

@@ -1,8 +1,233 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m slam` is `run_slam`."""
+"""The `run_slam` command, also as `python -m slam`: read a sequence, run, write the folder."""
 
+import gc
+import shlex
 import sys
+from argparse import ArgumentParser
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from slam.cli import main
+import tyro
+from tqdm import tqdm
 
-sys.exit(main())
+from placerec.errors import LoopcloseError, deferred_interrupts
+from placerec.files import Progress
+from placerec.recognizer import load
+from slam.config import Config, load_config
+from slam.result import SlamResult
+from slam.types import Frame, SlamError
+
+if TYPE_CHECKING:
+    from slam.datasets import Sequence, Sessions
+    from slam.evaluation.drift import DriftReport
+    from slam.system import Slam
+
+DEFAULT_RECOGNIZER = "learned"
+DEMO = "demo"
+
+_DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
+
+  run_slam demo                         render a room and run on it; needs no data
+  run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
+  run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
+                                        Open3D, Redwood or RealSense, told by what it holds
+  run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
+  run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
+
+Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What run_slam was asked to do."""
+
+    sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
+    """Folder of a recording, short name of a TUM RGB-D benchmark sequence, or `demo`."""
+    more: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")
+    ] = ()
+    """Later recordings of the same camera, which are to make one map with the first."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the outputs; default: runs/SEQUENCE, the names of several joined by +."""
+    recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
+    """Place recognizer: an installed name, package.module:ClassName, or FILE.safetensors."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
+    settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+
+    @property
+    def sequences(self) -> tuple[str, ...]:
+        """All recordings, as they were named."""
+        return self.sequence, *self.more
+
+    @property
+    def title(self) -> str:
+        """The names of the recordings' folders, joined by +."""
+        return "+".join(Path(each).resolve().name for each in self.sequences)
+
+
+def parse(arguments: list[str]) -> Arguments:
+    """Return the parsed command line; exits with code 2 and a message where it is wrong.
+
+    Raises:
+        SlamError: the settings file cannot be used.
+    """
+    # --config is found before the rest is parsed: it holds the defaults of the other flags.
+    finder = ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
+    path: Path | None = finder.parse_known_args(arguments)[0].config
+    defaults = Config() if path is None else load_config(path)
+    return tyro.cli(
+        tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
+        prog="run_slam",
+        description=_DESCRIPTION,
+        args=arguments,
+        default=Arguments(sequence=tyro.MISSING, settings=defaults),
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run `run_slam` and return its exit code: 0 good, 2 something the user can mend."""
+    # A recognizer that is being written is found in the current folder, as by `python -m`.
+    sys.path.append(str(Path.cwd()))
+    try:
+        _run(parse(sys.argv[1:] if arguments is None else arguments))
+    except LoopcloseError as error:
+        problem = str(error)
+    except KeyboardInterrupt:
+        problem = "interrupted before the outputs were complete"
+    else:
+        return 0
+    print(f"run_slam: {problem}", file=sys.stderr)
+    return 2
+
+
+def _run(arguments: Arguments) -> None:
+    # The heavy libraries are loaded here, so that --help and typing errors answer at once.
+    from slam.datasets import Sessions
+    from slam.output.run_folder import make_run_folder, write_run
+    from slam.output.summary import summary_table
+    from slam.system import Slam
+
+    recognizer = load(arguments.recognizer)
+    folder = arguments.out or Path("runs") / arguments.title
+    sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
+    make_run_folder(folder)
+    # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
+    gc.collect()
+    gc.freeze()
+    slam = Slam(sessions.camera, recognizer, arguments.settings)
+    stopped = _process(slam, sessions)
+    if stopped and not slam.has_keyframes:
+        raise stopped
+    # What was done is worth the seconds that writing it takes, but to one who asks again.
+    is_interrupted = isinstance(stopped, KeyboardInterrupt)
+    reason = "interrupted" if is_interrupted else str(stopped)
+    with nullcontext() if is_interrupted else deferred_interrupts():
+        result = slam.finish()
+        drift, doubts = _judge(result, sessions, arguments)
+        if stopped:
+            doubts = (f"the run stopped early: {reason}", *doubts)
+        result = replace(result, warnings=(*doubts, *sessions.warnings, *result.warnings))
+        write_run(
+            folder,
+            result,
+            drift,
+            sessions.ground_truth,
+            arguments.settings,
+            arguments.title,
+            shlex.join(["run_slam", *arguments.sequences, "--recognizer", arguments.recognizer]),
+        )
+    print(summary_table(result, drift, folder))
+    if stopped:
+        raise SlamError(f"{reason}; what was done until then is in {folder}")
+
+
+def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
+    from slam.datasets import open_sequence, resolve
+
+    if name != DEMO:
+        with _progress_bar("fetching", unit="B", unit_scale=True) as progress:
+            path = resolve(name, progress)
+    elif not (path := folder / "sequence").exists():
+        from slam.demo.recording import render_sequence
+
+        with _progress_bar("rendering", unit=" frames") as progress:
+            render_sequence(path, progress=progress)
+    print(f"reading {path}", file=sys.stderr)
+    sequence = open_sequence(path, arguments.settings.input)
+    for warning in sequence.warnings:  # now, for they may tell why the run fails
+        print(f"warning: {warning}", file=sys.stderr)
+    return sequence
+
+
+def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
+    """Feed all frames; return what stopped it early, so that the frames until then are kept."""
+    with deferred_interrupts() as interrupted:  # half a keyframe could not be finished
+        try:
+            for recording in sessions.recordings:
+                slam.start_session()
+                for frame in _timed(slam, recording):
+                    slam.process(frame)
+                    if interrupted.is_set():
+                        return KeyboardInterrupt()
+            slam.settle()  # if the recognizer failed on one of the last keyframes, say so
+        except LoopcloseError as stopped:
+            return stopped
+    return None
+
+
+def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:
+    frames = iter(sequence)
+    with tqdm(total=len(sequence), desc="tracking", unit=" frames", dynamic_ncols=True) as bar:
+        while True:
+            with slam.clock.stage("read"):
+                frame = next(frames, None)
+            if frame is None:
+                return
+            yield frame
+            bar.update()
+
+
+def _judge(
+    result: SlamResult, sessions: "Sessions", arguments: Arguments
+) -> tuple["DriftReport | None", tuple[str, ...]]:
+    """Compare with ground truth where there is enough of it; else say why not."""
+    from slam.evaluation.drift import compare_drift
+
+    truth = sessions.ground_truth
+    if truth is None:
+        return None, ("there is no ground truth, so no ATE can be given",)
+    try:
+        drift = compare_drift(
+            result.odometry,
+            result.trajectory,
+            truth,
+            result.attempts,
+            result.keyframes,
+            arguments.settings.evaluation,
+            result.session_starts_s,
+        )
+    except SlamError as error:
+        return None, (f"no ATE can be given: {error}",)
+    return drift, ()
+
+
+@contextmanager
+def _progress_bar(title: str, **options: object) -> Iterator[Progress]:
+    # The delay hides the bar where no progress is ever made.
+    with tqdm(desc=title, delay=1e-9, dynamic_ncols=True, **options) as bar:
+
+        def show(done: int, total: int | None) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.geometry import se3
-from slam.geometry.reprojection import Measurements, robust_weights
+from slam.geometry.reprojection import Observations, robust_weights
 from slam.types import Camera, Features, FloatArray
 
 _ROUNDS = 3  # each decides anew who agrees
@@ -53,7 +53,7 @@ class RefinedPose:
 
 
 def refine_pose(
-    T_world_cam: FloatArray, points_m: FloatArray, measured: Measurements, camera: Camera
+    T_world_cam: FloatArray, points_m: FloatArray, measured: Observations, camera: Camera
 ) -> RefinedPose:
     """Return the pose from which (M, 3) world points look most as they were measured.
 
@@ -70,7 +70,7 @@ def refine_pose(
 
 
 def _pose_equations(
-    points_m: FloatArray, measured: Measurements, camera: Camera, T_world_cam: FloatArray
+    points_m: FloatArray, measured: Observations, camera: Camera, T_world_cam: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
     residuals, by_point = measured.residuals(points_cam_m, camera)
@@ -86,7 +86,7 @@ class _View:
     """One direction: points of the other camera, and where this one saw them."""
 
     points_other_m: FloatArray  # (M, 3), NaN where the other camera has no depth
-    measured: Measurements
+    measured: Observations
 
     def select(self, mask: NDArray[np.bool_]) -> "_View":
         return _View(self.points_other_m[mask], self.measured.select(mask))
@@ -106,8 +106,8 @@ class Correspondences:
         """Collect the measurements of (M, 2) index pairs (reference, query)."""
         i, j = pairs.T
         return Correspondences(
-            query_view=_View(reference.points_m[i], Measurements.of(query, j, camera)),
-            reference_view=_View(query.points_m[j], Measurements.of(reference, i, camera)),
+            query_view=_View(reference.points_m[i], Observations.of(query, j, camera)),
+            reference_view=_View(query.points_m[j], Observations.of(reference, i, camera)),
         )
 
     def select(self, mask: NDArray[np.bool_]) -> "Correspondences":

@@ -26,7 +26,7 @@ _CAUCHY = 1.0  # whitened error from which a depth's pull fades: it may be that 
 
 
 @dataclass(frozen=True)
-class Measurements:
+class Observations:
     """M points as one or several cameras saw them.
 
     Attributes:
@@ -38,13 +38,13 @@ class Measurements:
     sigma: FloatArray
 
     @staticmethod
-    def of(features: Features, index: NDArray[np.int64], camera: Camera) -> "Measurements":
+    def of(features: Features, index: NDArray[np.int64], camera: Camera) -> "Observations":
         """Collect what was measured of the features with (M,) indices."""
         disparity_px = _BASELINE_M * camera.fx / features.depth_m[index]
         coarseness = PYRAMID_SCALE ** features.octaves[index]
         pixel_sigma = _PIXEL_SIGMA_PX * coarseness
         disparity_sigma = _INVERSE_DEPTH_SIGMA * _BASELINE_M * camera.fx * coarseness
-        return Measurements(
+        return Observations(
             seen=np.column_stack([features.undistorted_px[index], disparity_px]),
             sigma=np.column_stack([pixel_sigma, pixel_sigma, disparity_sigma]),
         )
@@ -52,15 +52,15 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.seen)
 
-    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "Measurements":
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "Observations":
         """Keep some of the points, by an (M,) mask or by indices."""
-        return Measurements(self.seen[chosen], self.sigma[chosen])
+        return Observations(self.seen[chosen], self.sigma[chosen])
 
     @staticmethod
-    def joined(parts: Sequence["Measurements"]) -> "Measurements":
+    def joined(parts: Sequence["Observations"]) -> "Observations":
         """Return all of them as one."""
         seen = np.concatenate([part.seen for part in parts])
-        return Measurements(seen, np.concatenate([part.sigma for part in parts]))
+        return Observations(seen, np.concatenate([part.sigma for part in parts]))
 
     def residuals(self, points_cam_m: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
         """Return whitened residuals (M, 3), 0 where unknown, and their (M, 3, 3) derivatives.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from slam.geometry import se3
-from slam.geometry.reprojection import Measurements, robust_costs, robust_weights
+from slam.geometry.reprojection import Observations, robust_costs, robust_weights
 from slam.types import Camera, FloatArray, IntArray
 
 _FIRST_DAMPING = 1e-5
@@ -39,7 +39,7 @@ class Bundle:
     points_m: FloatArray
     camera_of: IntArray
     point_of: IntArray
-    measured: Measurements
+    measured: Observations
 
     def select(self, mask: NDArray[np.bool_]) -> "Bundle":
         """Keep some of the observations, by an (O,) mask."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam.config import PYRAMID_SCALE
 from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
-from slam.geometry.reprojection import Measurements, project
+from slam.geometry.reprojection import Observations, project
 from slam.mapping.landmarks import UNSEEN, Landmarks
 from slam.types import Camera, Features, FloatArray, IntArray
 
@@ -33,7 +33,7 @@ class MappedKeyframe:
     """
 
     features: Features
-    measured: Measurements
+    measured: Observations
     grid: FeatureGrid
     landmark_of: IntArray
     created_ids: IntArray
@@ -95,7 +95,7 @@ class LandmarkMap:
     ) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id."""
         new_id, count = len(self.keyframes), len(features.pixels)
-        measured = Measurements.of(features, np.arange(count), self.camera)
+        measured = Observations.of(features, np.arange(count), self.camera)
         landmark_of, created_ids = np.full(count, UNSEEN), np.zeros(0, dtype=np.int64)
         self.keyframes.append(
             MappedKeyframe(features, measured, grid, landmark_of, created_ids, T_map_cam)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.reprojection import Measurements
+from slam.geometry.reprojection import Observations
 from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.landmarks import UNSEEN
@@ -55,7 +55,7 @@ def extract_problem(
     chosen = chosen[np.lexsort((camera_of[chosen], landmark_of[chosen]))]
     landmark_ids, point_of = np.unique(landmark_of[chosen], return_inverse=True)
     starts = np.cumsum([0, *(len(each.measured) for each in keyframes)])
-    measured = Measurements.joined([each.measured for each in keyframes])
+    measured = Observations.joined([each.measured for each in keyframes])
     bundle = Bundle(
         T_world_cam=np.array([each.T_map_cam for each in keyframes]),
         is_fixed=np.arange(len(keyframes)) >= len(free) if fixed else np.arange(len(keyframes)) < 1,

@@ -9,7 +9,7 @@ from slam.config import VerificationConfig
 from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.refinement import refine_pose
 from slam.geometry.relative_pose import pose_by_ransac
-from slam.geometry.reprojection import Measurements
+from slam.geometry.reprojection import Observations
 from slam.mapping.landmark_map import LandmarkMap
 from slam.types import Features, FloatArray, Frame, IntArray, Rejection, RejectionReason
 
@@ -64,7 +64,7 @@ def agreed_pose(
     inliers = int(np.count_nonzero(inlier_mask))
     if inliers < config.min_inliers:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
-    measured = Measurements.of(view.features, pairs[inlier_mask, 1], the_map.camera)
+    measured = Observations.of(view.features, pairs[inlier_mask, 1], the_map.camera)
     return refine_pose(T_map_cam, points_m[inlier_mask], measured, the_map.camera).T_world_cam
 
 
@@ -77,7 +77,7 @@ def track_local_map(
 ) -> FramePose | Rejection:
     """Look for (P,) landmarks close to where they should be, and let all refine the (4, 4) pose."""
     pairs = the_map.search(view.grid, T_map_cam, ids, _RADIUS_PX)
-    measured = Measurements.of(view.features, pairs[:, 1], the_map.camera)
+    measured = Observations.of(view.features, pairs[:, 1], the_map.camera)
     points_m = the_map.landmarks.positions_m[pairs[:, 0]]
     refined = refine_pose(T_map_cam, points_m, measured, the_map.camera)
     inliers = int(np.count_nonzero(refined.inlier_mask))

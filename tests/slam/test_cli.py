@@ -20,7 +20,7 @@ from placerec.certificate import Certificate
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
 from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
-from slam.cli import main, parse
+from slam.__main__ import main, parse
 from slam.config import Config, to_toml
 from slam.datasets import read_camera, write_camera
 from slam.evaluation.trajectory import read_tum
@@ -106,7 +106,7 @@ def images(folder, kind):
 def good(recording, tmp_path_factory):
     """Return the folder and the outcome of a run over the whole recording, as a user starts it."""
     folder = tmp_path_factory.mktemp("good")
-    command = [sys.executable, "-m", "slam.cli", str(recording), "--out", str(folder / "out")]
+    command = [sys.executable, "-m", "slam", str(recording), "--out", str(folder / "out")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     return Ran(done.returncode, done.stdout, done.stderr, folder / "out")
@@ -185,7 +185,7 @@ def test_hardly_any_frames_are_a_run_without_a_verdict(short_recording, run_slam
 def test_help_is_quick_because_it_loads_nothing_heavy(tmp_path):
     script = (
         "import sys\n"
-        "from slam.cli import main\n"
+        "from slam.__main__ import main\n"
         "try:\n"
         "    main(['--help'])\n"
         "except SystemExit as exited:\n"
@@ -568,7 +568,7 @@ def test_ctrl_c_twice_does_not_wait_for_the_frame(run_slam, recording, recognize
 
 
 def test_ctrl_c_from_a_terminal(recording, tmp_path):
-    command = [sys.executable, "-m", "slam.cli", str(recording), "--out", "out"]
+    command = [sys.executable, "-m", "slam", str(recording), "--out", "out"]
     places = (
         "import pathlib, time\n"
         "import numpy as np\n"

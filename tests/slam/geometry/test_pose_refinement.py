@@ -6,14 +6,14 @@ import pytest
 
 from slam.geometry import se3
 from slam.geometry.refinement import refine_pose
-from slam.geometry.reprojection import Measurements
+from slam.geometry.reprojection import Observations
 
 NUDGE = np.array([0.01, -0.02, 0.015, 0.02, 0.03, -0.02])
 
 
 def seen_by(scene, k, features=None):
     features = features or scene.features[k]
-    return Measurements.of(features, np.arange(len(features.pixels)), scene.camera)
+    return Observations.of(features, np.arange(len(features.pixels)), scene.camera)
 
 
 def test_the_exact_pose_is_found_from_a_poor_guess(make_scene):
@@ -50,6 +50,6 @@ def test_the_hessian_tells_how_sure_the_pose_is(make_scene):
     ]
     assert traces[1] / traces[0] == pytest.approx(4.0, rel=0.2)
     blank = few.features[0]
-    none = Measurements.of(blank, np.zeros(0, dtype=np.int64), few.camera)
+    none = Observations.of(blank, np.zeros(0, dtype=np.int64), few.camera)
     refined = refine_pose(few.T_world_cam[0], np.zeros((0, 3)), none, few.camera)
     np.testing.assert_array_equal(refined.T_world_cam, few.T_world_cam[0])

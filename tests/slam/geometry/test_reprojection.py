@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from slam.geometry import se3
-from slam.geometry.reprojection import Measurements, project, robust_costs, robust_weights
+from slam.geometry.reprojection import Observations, project, robust_costs, robust_weights
 
 
 def test_what_was_measured_is_expected_of_the_points_themselves(make_views):
     views = make_views(np.eye(4))
     index = np.arange(150)
-    measured = Measurements.of(views.reference, index, views.camera)
+    measured = Observations.of(views.reference, index, views.camera)
     residuals, _ = measured.residuals(views.reference.points_m, views.camera)
     np.testing.assert_allclose(residuals, 0.0, atol=1e-9)
     assert measured.agree(views.reference.points_m, views.camera).all()
@@ -31,7 +31,7 @@ def test_an_unknown_depth_says_nothing_and_coarse_levels_say_less(make_views):
     views = make_views(np.eye(4), 20)
     octaves = np.arange(20) % 3
     blind = replace(views.reference, depth_m=np.full(20, np.nan), octaves=octaves)
-    measured = Measurements.of(blind, np.arange(20), views.camera)
+    measured = Observations.of(blind, np.arange(20), views.camera)
     shifted = views.reference.points_m + np.array([0.01, 0.0, 0.0])
     residuals, derivative = measured.residuals(shifted, views.camera)
     assert (residuals[:, 2] == 0.0).all() and (derivative[:, 2] == 0.0).all()
@@ -41,7 +41,7 @@ def test_an_unknown_depth_says_nothing_and_coarse_levels_say_less(make_views):
 
 def test_points_elsewhere_or_behind_do_not_agree(make_views):
     views = make_views(np.eye(4), 20)
-    measured = Measurements.of(views.reference, np.arange(20), views.camera)
+    measured = Observations.of(views.reference, np.arange(20), views.camera)
     points_m = views.reference.points_m
     assert not measured.agree(points_m + np.array([0.1, 0.0, 0.0]), views.camera).any()
     behind = se3.transform(np.diag([-1.0, -1.0, -1.0, 1.0]), points_m)
@@ -59,7 +59,7 @@ def test_the_weight_of_a_residual_is_the_slope_of_its_cost(part, length):
 
 def test_a_wrong_depth_loses_its_say_and_leaves_the_pixel_its_own(make_views):
     views = make_views(np.eye(4), 20)
-    measured = Measurements.of(views.reference, np.arange(20), views.camera)
+    measured = Observations.of(views.reference, np.arange(20), views.camera)
     nearer = 0.1 * views.reference.points_m  # on the same ray
     residuals, _ = measured.residuals(nearer, views.camera)
     weights = robust_weights(residuals)
@@ -69,8 +69,8 @@ def test_a_wrong_depth_loses_its_say_and_leaves_the_pixel_its_own(make_views):
 
 def test_joined_and_selected_are_the_same_numbers(make_views):
     views = make_views(np.eye(4), 20)
-    whole = Measurements.of(views.reference, np.arange(20), views.camera)
-    joined = Measurements.joined([whole.select(np.arange(20) < 7), whole.select(np.arange(7, 20))])
+    whole = Observations.of(views.reference, np.arange(20), views.camera)
+    joined = Observations.joined([whole.select(np.arange(20) < 7), whole.select(np.arange(7, 20))])
     np.testing.assert_array_equal(joined.seen, whole.seen)
     np.testing.assert_array_equal(joined.sigma, whole.sigma)
     assert len(joined) == 20

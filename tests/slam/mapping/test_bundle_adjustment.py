@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from slam.geometry import reprojection, se3
-from slam.geometry.reprojection import Measurements
+from slam.geometry.reprojection import Observations
 from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
 
 
 def bundle_of(scene, fixed=1):
     cameras, points = len(scene.features), len(scene.points_m)
     everything = np.arange(points)
-    measured = [Measurements.of(each, everything, scene.camera) for each in scene.features]
+    measured = [Observations.of(each, everything, scene.camera) for each in scene.features]
     point_of, camera_of = (each.ravel() for each in np.mgrid[:points, :cameras])
     return Bundle(
         T_world_cam=scene.T_world_cam.copy(),
@@ -21,7 +21,7 @@ def bundle_of(scene, fixed=1):
         points_m=scene.points_m.copy(),
         camera_of=camera_of,
         point_of=point_of,
-        measured=Measurements.joined(measured).select(camera_of * points + point_of),
+        measured=Observations.joined(measured).select(camera_of * points + point_of),
     )
 
 
@@ -79,7 +79,7 @@ def test_observations_that_contradict_the_rest_do_not_agree(make_scene):
     seen = bundle.measured.seen.copy()
     wrong = np.arange(len(seen)) % 29 == 0
     seen[wrong, 0] += 30.0
-    bundle = replace(bundle, measured=Measurements(seen, bundle.measured.sigma))
+    bundle = replace(bundle, measured=Observations(seen, bundle.measured.sigma))
     found = adjust(bundle, scene.camera, 10)
     fits = agreeing(found, scene.camera)
     assert not fits[wrong].any() and fits[~wrong].mean() > 0.95
