@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the tests of the core notice when it is broken on purpose.
 
-mutmut makes thousands of small changes to slam's tracking, mapping, loops, pose_graph, geometry and
-evaluation: another operator, a missing argument, another number or text. Of these mutants a sample
-is drawn, from each folder its share. One is killed if a test that runs the changed function fails
-or crashes; each survivor is printed with what it changes, and so is one whose tests took too long:
-that may be a busy machine. Which tests are run stands in pyproject.toml, as [tool.mutmut].
-
-A mutant is drawn by a hash of the seed and its name, so that most of a sample stays the same while
-the code changes elsewhere. All is kept in the folder `mutants`, which may be deleted.
+mutmut makes thousands of small changes to the core: another operator, number or text, a missing
+argument. A sample is drawn, from each folder its share, by a hash of the seed and the name, so that
+most of it stays the same while the code changes elsewhere. A mutant is killed if a test that runs
+the changed function fails. Each survivor is printed with its change, and so is one whose tests took
+too long: that may be a busy machine. [tool.mutmut] of pyproject.toml says which tests are run.
 """
 
 import argparse
@@ -68,8 +65,7 @@ def main() -> None:
         subprocess.run([*mutmut, "show", name], check=True)
     for folder, names in drawn.items():
         print(f"{folder}: {dict(Counter(became[name] for name in names))}")
-    killed = len(tried) - len(survivors)
-    print(f"{killed} of {len(tried)} mutants killed, {killed / len(tried):.1%}")
+    print(f"{len(tried) - len(survivors)} of {len(tried)} mutants killed")
 
 
 def _exit_codes() -> dict[str, int | None]:

@@ -22,13 +22,13 @@ PositiveInt = Annotated[int, Field(gt=0)]
 _Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class Section(BaseModel):
+class _Section(BaseModel):
     """A group of settings that cannot change during a run and refuses unknown names."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
-class InputConfig(Section):
+class InputConfig(_Section):
     """How a sequence is read."""
 
     camera: Annotated[Path, AfterValidator(Path.absolute)] | None = None
@@ -39,7 +39,7 @@ class InputConfig(Section):
     """Colour and depth images of a TUM folder further apart than this are not paired."""
 
 
-class FeaturesConfig(Section):
+class FeaturesConfig(_Section):
     """ORB extraction and matching."""
 
     count: PositiveInt = 1000
@@ -52,7 +52,7 @@ class FeaturesConfig(Section):
     """Depth beyond this is too noisy to place a feature in space."""
 
 
-class VerificationConfig(Section):
+class VerificationConfig(_Section):
     """When geometry believes that two views show the same place."""
 
     min_matches: PositiveInt = 20
@@ -73,7 +73,7 @@ class VerificationConfig(Section):
     """Trials of PnP RANSAC."""
 
 
-class OdometryConfig(Section):
+class OdometryConfig(_Section):
     """Tracking against the last keyframe, and when a frame becomes one."""
 
     min_inliers: PositiveInt = 15
@@ -88,7 +88,7 @@ class OdometryConfig(Section):
     """Earlier keyframes that a new one is tied to by geometry (co-visibility), besides the last."""
 
 
-class LoopConfig(Section):
+class LoopConfig(_Section):
     """Which earlier keyframes are looked at as the same place."""
 
     min_gap_s: PositiveFloat = 3.0
@@ -99,7 +99,7 @@ class LoopConfig(Section):
     """Cosine from which a candidate is verified; default: the recognizer's own threshold."""
 
 
-class GraphConfig(Section):
+class GraphConfig(_Section):
     """The robust pose graph."""
 
     inlier_probability: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.95
@@ -111,7 +111,7 @@ class GraphConfig(Section):
     """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
 
 
-class MotionConfig(Section):
+class MotionConfig(_Section):
     """How the camera is carried: frames are smoothed accordingly, once all are placed."""
 
     acceleration_m_s2: _Acceleration = 1.0
@@ -121,7 +121,7 @@ class MotionConfig(Section):
     """The same of the turning; a calm hand's is 3 to 5."""
 
 
-class EvaluationConfig(Section):
+class EvaluationConfig(_Section):
     """Comparison with ground truth."""
 
     max_time_difference_s: PositiveFloat = 0.02
@@ -134,7 +134,7 @@ class EvaluationConfig(Section):
     """An accepted loop whose motion is off by more than this is called false."""
 
 
-class MapConfig(Section):
+class MapConfig(_Section):
     """The fused point cloud of the corrected keyframes."""
 
     write: bool = True
@@ -145,7 +145,7 @@ class MapConfig(Section):
     """Depth beyond this is left out of the cloud."""
 
 
-class Config(Section):
+class Config(_Section):
     """All settings of a run."""
 
     input: InputConfig = InputConfig()
@@ -172,10 +172,10 @@ def load_config(path: Path) -> Config:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SlamError(f"the settings file is not valid TOML: {error}: {path}") from error
     except ValidationError as error:
-        raise SlamError(f"{describe(error)}: {path}") from error
+        raise SlamError(f"{_describe(error)}: {path}") from error
 
 
-def describe(error: ValidationError) -> str:
+def _describe(error: ValidationError) -> str:
     """Return the first problem of a validation as one line: setting, value, what is allowed."""
     first = error.errors()[0]
     name = ".".join(str(part) for part in first["loc"])
@@ -188,13 +188,6 @@ def to_toml(config: Config) -> str:
     """Return the settings as TOML that `load_config` reads back; unset ones are left out."""
     lines: list[str] = []
     for section, values in config.model_dump(mode="json", exclude_none=True).items():
-        lines.append(f"[{section}]")
-        lines += [f"{name} = {_toml_value(value)}" for name, value in values.items()]
-        lines.append("")
+        settings = [f"{name} = {json.dumps(value)}" for name, value in values.items()]
+        lines += [f"[{section}]", *settings, ""]
     return "\n".join(lines)
-
-
-def _toml_value(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return json.dumps(value) if isinstance(value, str) else str(value)

@@ -19,14 +19,13 @@ class StageClock:
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.elapsed_s = 0.0
-        self._start_s: float | None = None
+        self._start_s = float("inf")
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Count the time until the block ends towards a stage."""
         start_s = time.perf_counter()
-        if self._start_s is None:
-            self._start_s = start_s
+        self._start_s = min(self._start_s, start_s)
         try:
             yield
         finally:

@@ -12,7 +12,6 @@ from placerec.errors import LoopcloseError
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 PREVIEW_SCALE = 0.5
 """Size of a keyframe's preview, of its frame's."""
 
@@ -124,10 +123,7 @@ class RejectionReason(StrEnum):
 
 @dataclass(frozen=True)
 class Rejection:
-    """Why a stage said no, with the number that decided and the number it needed.
-
-    `needed - measured` is the distance to the opposite decision.
-    """
+    """Why a stage said no: the number that decided, and what it had to be for a yes."""
 
     reason: RejectionReason
     measured: float

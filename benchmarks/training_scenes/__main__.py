@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from benchmarks.training_scenes.folder import Image, write_folder
+from benchmarks.training_scenes.handheld import Image, write_folder
 from benchmarks.training_scenes.recorded import RecordedPlace
 from benchmarks.training_scenes.rendered import views
 from placerec.datasets import open_dataset

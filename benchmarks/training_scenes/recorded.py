@@ -14,8 +14,15 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial.transform import Rotation
 
-from benchmarks.training_scenes.folder import Image, Views, as_cheap_cameras_see
-from benchmarks.training_scenes.poses import distance, nudged, path_times_s, swing
+from benchmarks.training_scenes.handheld import (
+    Image,
+    Views,
+    as_cheap_cameras_see,
+    distance,
+    nudged,
+    path_times_s,
+    swing,
+)
 from placerec.datasets.tum import Recording, read_recording
 from placerec.datasets.tum_lists import nearest
 from slam import Config, open_sequence

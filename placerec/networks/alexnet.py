@@ -10,21 +10,17 @@ from placerec.networks.trunk import Trunk, with_random_weights
 
 
 def _caffenet() -> nn.Sequential:
-    def pool() -> nn.Module:
-        return nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
-
-    def norm() -> nn.Module:
-        return nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75)
-
+    pool = nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
+    norm = nn.LocalResponseNorm(size=5, alpha=1e-4, beta=0.75)
     layers: OrderedDict[str, nn.Module] = OrderedDict(
         conv1=nn.Conv2d(3, 96, kernel_size=11, stride=4),
         relu1=nn.ReLU(),
-        pool1=pool(),
-        norm1=norm(),
+        pool1=pool,
+        norm1=norm,
         conv2=nn.Conv2d(96, 256, kernel_size=5, padding=2, groups=2),
         relu2=nn.ReLU(),
-        pool2=pool(),
-        norm2=norm(),
+        pool2=pool,
+        norm2=norm,
         conv3=nn.Conv2d(256, 384, kernel_size=3, padding=1),
         relu3=nn.ReLU(),
         conv4=nn.Conv2d(384, 384, kernel_size=3, padding=1, groups=2),

@@ -11,8 +11,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
-
 _LAYERS = {100: (1, 7), 2: (4, 6)}
 """Field of the layers in NetParameter, and of a layer's name and blobs; now, and before 2015."""
 _DATA, _SHAPE, _DIM = 5, 7, 1
@@ -21,13 +19,13 @@ _OLD_SHAPE = (1, 2, 3, 4)
 _VARINT, _EIGHT_BYTES, _CHUNK, _FOUR_BYTES = 0, 1, 2, 5
 
 
-def read_caffemodel(content: bytes) -> dict[str, FloatArray]:
+def read_caffemodel(content: bytes) -> dict[str, NDArray[np.float32]]:
     """Return each layer's arrays as `conv1.weight` and `conv1.bias`, shaped as torch shapes them.
 
     Raises:
         ValueError: this is no such file, or not all of it.
     """
-    arrays: dict[str, FloatArray] = {}
+    arrays: dict[str, NDArray[np.float32]] = {}
     net = _Message(memoryview(content))
     for field, (name_field, blob_field) in _LAYERS.items():
         for layer in map(_Message, net.chunks[field]):
@@ -65,7 +63,7 @@ class _Message:
             position += size
 
 
-def _blob(blob: _Message) -> FloatArray:
+def _blob(blob: _Message) -> NDArray[np.float32]:
     shape = [(blob.numbers[field] or [1])[-1] for field in _OLD_SHAPE]
     for dims in map(_Message, blob.chunks[_SHAPE][:1]):
         shape = dims.numbers[_DIM] + [dim for part in dims.chunks[_DIM] for dim in _varints(part)]

@@ -65,21 +65,21 @@ class PlaceNetwork(nn.Module):
         self.preprocessing = trunk.preprocessing
         if size_px:
             width_px, height_px = size_px
-            self.preprocessing = replace(
-                trunk.preprocessing, width_px=width_px, height_px=height_px
-            )
+            self.preprocessing = replace(self.preprocessing, width_px=width_px, height_px=height_px)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.features = trunk.layers(block)
             maps = self._try_out()
+            cells = nn.AdaptiveAvgPool2d(grid) if grid else nn.Identity()
             pooled = Covariance() if covariance else nn.Flatten()
-            self.pool = nn.Sequential(
-                nn.AdaptiveAvgPool2d(grid) if grid else nn.Identity(),
-                Vlad(words, maps.shape[1]) if words else pooled,
-            )
-            self.fully_connected: nn.Linear | WhitenedLinear = _linear(
-                self.flatten(maps).shape[1], dimension
-            )
+            self.pool = nn.Sequential(cells, Vlad(words, maps.shape[1]) if words else pooled)
+            self.fully_connected: nn.Linear | WhitenedLinear
+            try:
+                self.fully_connected = nn.Linear(self.flatten(maps).shape[1], dimension)
+            except RuntimeError as error:
+                raise RecognizerError(
+                    f"dimension = {dimension}: there is no memory for a layer of so many values"
+                ) from error
 
     @property
     def title(self) -> str:
@@ -113,11 +113,11 @@ class PlaceNetwork(nn.Module):
 
     def _try_out(self) -> Tensor:
         """Return the maps of an empty image."""
-        size = (self.preprocessing.height_px, self.preprocessing.width_px)
-        where = f"trunk {self.trunk.name!r} at {size[1]} x {size[0]} px"
+        height, width = self.preprocessing.height_px, self.preprocessing.width_px
+        where = f"trunk {self.trunk.name!r} at {width} x {height} px"
         try:
             with torch.no_grad():
-                maps: object = self.features(torch.zeros(1, 3, *size))
+                maps: object = self.features(torch.zeros(1, 3, height, width))
         except RuntimeError as error:
             what = " ".join(str(error).split())
             raise RecognizerError(f"{where} does not run, try larger images: {what}") from error
@@ -125,12 +125,3 @@ class PlaceNetwork(nn.Module):
             seen = tuple(maps.shape) if isinstance(maps, Tensor) else type(maps).__name__
             raise RecognizerError(f"{where} gives {seen}; it must give (N, C, h, w) maps")
         return maps
-
-
-def _linear(values: int, dimension: int) -> nn.Linear:
-    try:
-        return nn.Linear(values, dimension)
-    except RuntimeError as error:
-        raise RecognizerError(
-            f"dimension = {dimension}: there is no memory for a layer of so many values"
-        ) from error

@@ -67,19 +67,16 @@ class Covariance(nn.Module):
 
     def forward(self, maps: Tensor) -> Tensor:
         """Return the (N, (C + 2)(C + 3) / 2) upper triangles for (N, C, h, w) maps."""
-        values = _with_position(maps.float()).flatten(start_dim=2)
+        along = [torch.linspace(-1.0, 1.0, size, device=maps.device) for size in maps.shape[2:]]
+        position = POSITION_WEIGHT * torch.stack(torch.meshgrid(*along, indexing="ij"))
+        channels = torch.cat([maps.float(), position.expand(len(maps), -1, -1, -1)], dim=1)
+        values = channels.flatten(start_dim=2)
         values = values - values.mean(dim=2, keepdim=True)
         covariance = values @ values.transpose(1, 2) / values.shape[2]
         rows, columns = torch.triu_indices(*covariance.shape[1:], device=maps.device)
         triangle = covariance[:, rows, columns]
         rooted: Tensor = triangle.sign() * ((triangle.abs() + FAINT).sqrt() - FAINT**0.5)
         return rooted
-
-
-def _with_position(maps: Tensor) -> Tensor:
-    along = [torch.linspace(-1.0, 1.0, size, device=maps.device) for size in maps.shape[2:]]
-    position = POSITION_WEIGHT * torch.stack(torch.meshgrid(*along, indexing="ij"))
-    return torch.cat([maps, position.expand(len(maps), -1, -1, -1)], dim=1)
 
 
 RUNNER_UP = 0.01

@@ -46,11 +46,9 @@ class Preprocessing:
     is_bgr: bool = False
 
     def __call__(self, image: NDArray[np.uint8]) -> Tensor:
-        """Return the (3, height, width) float32 input made of an image.
+        """Return the (3, height, width) float32 input made of a uint8 image.
 
-        Args:
-            image: uint8, (H, W, 3) RGB, (H, W, 4) with alpha (ignored), or (H, W) or (H, W, 1)
-                grey.
+        It is (H, W, 3) RGB, (H, W, 4) with alpha (ignored), or (H, W) or (H, W, 1) grey.
 
         Raises:
             RecognizerError: it is no such image.

@@ -155,9 +155,8 @@ def read_weights(path: Path) -> Mapping[str, Tensor]:
         with torch.serialization.safe_globals(_NUMBERS), warnings.catch_warnings(action="ignore"):
             loaded = torch.load(content, map_location="cpu", weights_only=True)
     except Exception as error:  # torch and numpy raise many kinds for a damaged file
-        raise RecognizerError(
-            f"the weights file is damaged, or a pickle that would run code: {path}"
-        ) from error
+        what = "the weights file is damaged, or a pickle that would run code"
+        raise RecognizerError(f"{what}: {path}") from error
     if isinstance(loaded, Mapping) and isinstance(nested := loaded.get("state_dict"), Mapping):
         loaded = {name.replace("module.", ""): value for name, value in nested.items()}
     if not isinstance(loaded, Mapping) or not all(isinstance(v, Tensor) for v in loaded.values()):

@@ -32,20 +32,17 @@ class _Fire(nn.Module):
         return torch.relu(expanded)
 
 
-def _pool() -> nn.Module:
-    return nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
-
-
 def _layers() -> nn.Sequential:
+    pool = nn.MaxPool2d(kernel_size=3, stride=2, ceil_mode=True)
     layers: OrderedDict[str, nn.Module] = OrderedDict(
-        conv1=nn.Conv2d(3, 96, kernel_size=7, stride=2), relu1=nn.ReLU(), pool1=_pool()
+        conv1=nn.Conv2d(3, 96, kernel_size=7, stride=2), relu1=nn.ReLU(), pool1=pool
     )
     channels = 96
     for number, squeezed in _SQUEEZED.items():
         layers[f"fire{number}"] = _Fire(channels, squeezed)
         channels = 2 * _EXPANSION * squeezed
         if number in (4, 8):
-            layers[f"pool{number}"] = _pool()
+            layers[f"pool{number}"] = pool
     return with_random_weights(nn.Sequential(layers))
 
 

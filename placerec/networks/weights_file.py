@@ -35,10 +35,8 @@ class _Description(BaseModel):
 def save_weights(network: PlaceNetwork, path: Path, min_similarity: float) -> None:
     """Write a network and its threshold, in half precision; the same network, the same bytes.
 
-    Args:
-        network: a trained network.
-        path: the file, which is replaced as a whole.
-        min_similarity: cosine from which a match is worth verifying.
+    `min_similarity` is the cosine from which a match is worth verifying. An earlier file is
+    replaced as a whole.
 
     Raises:
         RecognizerError: a weight is not finite in half precision, or the file cannot be written.

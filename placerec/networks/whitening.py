@@ -40,9 +40,8 @@ def whiten(network: PlaceNetwork, values: Tensor, seed: int = 0) -> None:
 
 def merge(network: PlaceNetwork) -> None:
     """Make one matrix of a network's fully connected layer; nothing changes where it is one."""
-    if isinstance(network.fully_connected, WhitenedLinear):
-        device = network.fully_connected.weight.device
-        network.fully_connected = network.fully_connected.merged().to(device)
+    if isinstance(layer := network.fully_connected, WhitenedLinear):
+        network.fully_connected = layer.merged().to(layer.weight.device)
 
 
 def whitened_components(values: Tensor, at_most: int) -> tuple[Tensor, Tensor]:

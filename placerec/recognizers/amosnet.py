@@ -79,13 +79,13 @@ def spatial_pyramid(maps: FloatArray) -> FloatArray:
     """
     height, width = maps.shape[1:]
     pooled = [
-        maps[:, top:bottom, left:right].max(axis=(1, 2))
+        maps[:, rows, columns].max(axis=(1, 2))
         for count in _LEVELS
-        for top, bottom in _cells(height, count)
-        for left, right in _cells(width, count)
+        for rows in _cells(height, count)
+        for columns in _cells(width, count)
     ]
     return np.concatenate(pooled)
 
 
-def _cells(size: int, count: int) -> list[tuple[int, int]]:
-    return [(i * size // count, -(-(i + 1) * size // count)) for i in range(count)]
+def _cells(size: int, count: int) -> list[slice]:
+    return [slice(i * size // count, -(-(i + 1) * size // count)) for i in range(count)]

@@ -85,12 +85,12 @@ def _k_majority(
 ) -> tuple[Descriptors, NDArray[np.int64]]:
     """Return (count, B) middles, some of them equal where there is little to divide, and (N,)."""
     middles = _scattered(descriptors, count, rng)
-    nearest = _nearest(descriptors, middles)
+    nearest = VocabularyTree((middles[None],))(descriptors)
     bits = np.unpackbits(descriptors, axis=1)
     for _ in range(_ROUNDS):
         for k in np.unique(nearest):
             middles[k] = np.packbits(2 * bits[nearest == k].mean(axis=0) > 1.0)
-        before, nearest = nearest, _nearest(descriptors, middles)
+        before, nearest = nearest, VocabularyTree((middles[None],))(descriptors)
         if np.array_equal(before, nearest):
             break
     return middles, nearest
@@ -108,16 +108,10 @@ def _scattered(descriptors: Descriptors, count: int, rng: np.random.Generator) -
     return descriptors[chosen]
 
 
-def _nearest(descriptors: Descriptors, middles: Descriptors) -> NDArray[np.int64]:
-    chunks = (descriptors[i : i + CHUNK, None] for i in range(0, len(descriptors), CHUNK))
-    return np.concatenate([_hamming(chunk, middles).argmin(axis=1) for chunk in chunks])
-
-
 def _hamming(a: Descriptors, b: Descriptors) -> NDArray[np.int64]:
     """Return the number of different bits, over the last axis, of descriptors of 8 n bytes."""
     wide = (np.ascontiguousarray(side).view(np.uint64) for side in (a, b))
-    distances: NDArray[np.int64] = np.bitwise_count(np.bitwise_xor(*wide)).sum(axis=-1, dtype=int)
-    return distances
+    return np.asarray(np.bitwise_count(np.bitwise_xor(*wide)).sum(axis=-1, dtype=int))
 
 
 class BagOfWords(FittedRecognizer):
@@ -151,7 +145,11 @@ class BagOfWords(FittedRecognizer):
             raise RecognizerError(f"no corner was found in {len(documents)} images; give others")
         tree = grow(descriptors, CHILDREN, DEPTH, np.random.default_rng(seed))
         levels = {f"level{i}": level for i, level in enumerate(tree.levels)}
-        rarity = _rarity([tree(document) for document in documents], tree.words)
+        seen_in = np.zeros(tree.words)
+        for document in documents:
+            seen_in[np.unique(tree(document))] += 1.0
+        # How much the sight of each word says: the logarithm of how rare it is (idf).
+        rarity = np.log((len(documents) + 1.0) / (seen_in + 1.0)).astype(np.float32)
         return Fitted({**levels, "rarity": rarity}, {"features": _FEATURES_FOUND})
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -175,11 +173,3 @@ def _descriptors(image: NDArray[np.uint8]) -> Descriptors:
     _, descriptors = orb.detectAndCompute(cv2.resize(grey, size, interpolation=interpolation), None)
     none = np.empty((0, _ORB_BYTES), np.uint8)
     return none if descriptors is None else np.asarray(descriptors, np.uint8)
-
-
-def _rarity(documents: list[NDArray[np.int64]], words: int) -> NDArray[np.float32]:
-    """Return (W,) how much the sight of each word says: the logarithm of how rare it is (idf)."""
-    seen_in = np.zeros(words)
-    for document in documents:
-        seen_in[np.unique(document)] += 1.0
-    return np.asarray(np.log((len(documents) + 1.0) / (seen_in + 1.0)), np.float32)

@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -21,12 +21,11 @@ from placerec.networks.pretrained import (
     load_pretrained,
     weights_folders,
 )
-from placerec.recognizers.fitted_file import Fitted
+from placerec.recognizers.fitted_file import FittedRecognizer
 
 FloatArray = NDArray[np.float32]
 
 TINY = 1e-12
-_LAYER, _WEIGHTS = "layer", "weights"
 
 
 @dataclass(frozen=True)
@@ -50,10 +49,6 @@ class Layer:
         width_px, height_px = self.size_px
         return f"{self.trunk.name} {self.block} at {width_px}x{height_px} px"
 
-    def find(self) -> Path | None:
-        """Return its file of weights, None where it is not on this machine."""
-        return find_pretrained(self.file or self.trunk.name)
-
 
 class FeatureMaps:
     """Images in, maps out; on the CPU, and safe to use by threads.
@@ -62,6 +57,7 @@ class FeatureMaps:
         title: the layer, without its weights.
         weights: the layer and its weights, in a line.
         fingerprint: changes whenever the maps do.
+        facts: what a file that goes with them knows the layer and its weights by.
     """
 
     def __init__(self, layer: Layer, path: Path) -> None:
@@ -75,7 +71,12 @@ class FeatureMaps:
         self._network = network.eval()
         self.title = layer.title
         self.weights = f"{layer.title}, published weights {path.name}"
-        self.fingerprint = _fingerprint(layer.title, network)
+        digest = hashlib.sha256(repr((layer.title, network.preprocessing)).encode())
+        for name, value in sorted(network.features.state_dict().items()):
+            digest.update(name.encode())
+            digest.update(value.contiguous().numpy().tobytes())
+        self.fingerprint = f"sha256:{digest.hexdigest()}"
+        self.facts = {"layer": self.title, "weights": self.fingerprint}
 
     def __call__(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (C, h, w) float32 maps of a uint8 RGB image of any size.
@@ -99,48 +100,41 @@ def find_maps(layers: Sequence[Layer]) -> FeatureMaps:
     Raises:
         RecognizerError: there are none of any, or those found cannot be used.
     """
-    for layer in layers:
-        if path := layer.find():
+    names = [layer.file or layer.trunk.name for layer in layers]
+    for layer, name in zip(layers, names, strict=True):
+        if path := find_pretrained(name):
             return FeatureMaps(layer, path)
-    files = " or ".join(dict.fromkeys(layer.file or layer.trunk.name for layer in layers))
     raise RecognizerError(
-        f"there is no file of published weights whose name begins with {files} ("
+        "there is no file of published weights whose name begins with "
+        f"{' or '.join(dict.fromkeys(names))} ("
         f"{', '.join(sorted(SUFFIXES))}); put it into the folder that the environment variable "
         f"{FOLDER_VARIABLE} names, or into {weights_folders()[-1]}"
     )
 
 
-def find_fitted_maps(name: str, fitted: Fitted, layers: Sequence[Layer]) -> FeatureMaps:
-    """Return the maps of the layer, of several, that a baseline was fitted with.
+class FittedToMaps(FittedRecognizer):
+    """What recognizers have in common whose file goes with a published layer's maps.
 
-    Raises:
-        RecognizerError: its weights are missing, or are others than it was fitted with.
+    Attributes:
+        layers: of these the file goes with one; the best first.
     """
-    title = fitted.facts.get(_LAYER)
-    layers = [layer for layer in layers if layer.title == title]
-    maps = find_maps(layers) if layers else None
-    if maps is None or maps.fingerprint != fitted.facts.get(_WEIGHTS):
-        raise RecognizerError(
-            f"{name} has seen images with other weights than are here; do it again: "
-            f"placerec fit {name} FOLDER --out FILE"
-        )
-    return maps
 
+    layers: ClassVar[tuple[Layer, ...]]
 
-def facts_of(maps: FeatureMaps) -> dict[str, str]:
-    """Return what `find_fitted_maps` knows a layer and its weights by."""
-    return {_LAYER: maps.title, _WEIGHTS: maps.fingerprint}
+    def __init__(self, path: Path | None = None) -> None:
+        super().__init__(path)
+        facts = self._fitted.facts
+        layers = [layer for layer in self.layers if layer.title == facts.get("layer")]
+        maps = find_maps(layers) if layers else None
+        if maps is None or not maps.facts.items() <= facts.items():
+            raise RecognizerError(
+                f"{self.name} has seen images with other weights than are here; do it again: "
+                f"placerec fit {self.name} FOLDER --out FILE"
+            )
+        self._maps = maps
 
 
 def unit_rows(rows: NDArray[np.floating[Any]]) -> FloatArray:
     """Return (N, C) rows brought to unit length; rows of zeros stay what they are."""
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return np.asarray(rows / np.maximum(lengths, TINY), np.float32)
-
-
-def _fingerprint(title: str, network: PlaceNetwork) -> str:
-    digest = hashlib.sha256(repr((title, network.preprocessing)).encode())
-    for name, value in sorted(network.features.state_dict().items()):
-        digest.update(name.encode())
-        digest.update(value.contiguous().numpy().tobytes())
-    return f"sha256:{digest.hexdigest()}"

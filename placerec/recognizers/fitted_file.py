@@ -160,10 +160,8 @@ def read_fitted(path: Path, recognizer: str) -> Fitted:
             arrays = {name: file.get_tensor(name) for name in list(file.keys())}
     except (OSError, SafetensorError, KeyError, TypeError, ValidationError) as error:
         raise RecognizerError(f"not a whole file of {recognizer}; {remedy}: {path}") from error
-    if description.recognizer != recognizer:
-        raise RecognizerError(
-            f"the file is of {description.recognizer}, not of {recognizer}: {path}"
-        )
+    if (owner := description.recognizer) != recognizer:
+        raise RecognizerError(f"the file is of {owner}, not of {recognizer}: {path}")
     return Fitted(arrays, description.facts, description.trained_on, description.min_similarity)
 
 

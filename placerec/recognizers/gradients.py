@@ -45,20 +45,17 @@ class GradientRecognizer:
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (496,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image."""
-        variances, axes = np.linalg.eigh(_covariance(_features(image)))
+        features = _features(image)
+        centred = features - features.mean(axis=1, keepdims=True)
+        # Not `@`: BLAS would wake its threads for a tenth of a millisecond's work and, on a busy
+        # machine, wait for them a hundred times as long.
+        covariance = np.einsum("in,jn->ij", centred, centred) / features.shape[1]
+        variances, axes = np.linalg.eigh(covariance)
         logarithm = (axes * np.log1p(np.maximum(variances, 0.0) / _VARIANCE_FLOOR)) @ axes.T
         rows, columns = np.triu_indices(len(logarithm))
         # An entry off the diagonal stands for two: the vector is then as long as the matrix.
         vector = logarithm[rows, columns] * np.where(rows == columns, 1.0, np.sqrt(2.0))
         return np.asarray(vector / np.linalg.norm(vector), np.float32)
-
-
-def _covariance(features: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (F, F) covariance of (F, N) features."""
-    centred = features - features.mean(axis=1, keepdims=True)
-    # Not `@`: BLAS would wake its threads for a tenth of a millisecond's work and, on a busy
-    # machine, wait for them a hundred times as long.
-    return np.asarray(np.einsum("in,jn->ij", centred, centred) / features.shape[1])
 
 
 def _features(image: NDArray[np.uint8]) -> NDArray[np.float64]:

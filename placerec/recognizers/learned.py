@@ -37,10 +37,6 @@ class LearnedRecognizer:
         trained_on: names of datasets, as far as known: of the default weights.
     """
 
-    min_similarity: float
-    weights: str
-    trained_on: tuple[str, ...]
-
     def __init__(
         self, path: Path = DEFAULT_WEIGHTS, trunks: Iterable[Trunk] = tuple(TRUNKS.values())
     ) -> None:
@@ -56,10 +52,10 @@ class LearnedRecognizer:
             )
         self.network, self.min_similarity = load_weights(path, trunks)
         self._path = path
-        own = path == DEFAULT_WEIGHTS
-        title = "those of the package" if own else path.name
+        is_default = path == DEFAULT_WEIGHTS
+        title = "those of the package" if is_default else path.name
         self.weights = f"{self.network.title}, trained for places: {title}"
-        self.trained_on = _TRAINED_ON if own else ()
+        self.trained_on: tuple[str, ...] = _TRAINED_ON if is_default else ()
 
     @cached_property
     def fingerprint(self) -> str:
@@ -82,25 +78,23 @@ class LearnedRecognizer:
         return certificate
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the (D,) float32 unit-length embedding of an image of any size.
+        """Return the (D,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image of any size.
 
-        Args:
-            image: uint8, (H, W, 3) RGB; grey (H, W) and (H, W, 4) with alpha are taken too.
+        Grey (H, W) and (H, W, 4) with alpha are taken too.
 
         Raises:
             RecognizerError: it is no such image.
         """
         with one_thread(), torch.inference_mode():
-            embedding: NDArray[np.float32] = self.network(self.network.prepare([image]))[0].numpy()
-        return embedding
+            return np.asarray(self.network(self.network.prepare([image]))[0], np.float32)
 
     def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Return the (N, D) float32 embeddings of N images, several to a forward pass."""
-        starts = range(0, len(images), _FRAMES_PER_PASS)
         rows = [np.empty((0, self.network.dimension), np.float32)]
         with torch.inference_mode():
-            for frames in (images[i : i + _FRAMES_PER_PASS] for i in starts):
-                rows.append(self.network(self.network.prepare(frames)).numpy())
+            for start in range(0, len(images), _FRAMES_PER_PASS):
+                frames = self.network.prepare(images[start : start + _FRAMES_PER_PASS])
+                rows.append(self.network(frames).numpy())
         return np.concatenate(rows)
 
     def embed_place(self, frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
@@ -134,11 +128,6 @@ class Triplet(LearnedRecognizer):
     """The default network, trained with eq. 2 on the same images for as many steps."""
 
     def __init__(self, path: Path = TRIPLET_WEIGHTS) -> None:
-        """Read the weights.
-
-        Raises:
-            RecognizerError: they are missing, are damaged, or do not fit.
-        """
         if not path.exists():
             raise RecognizerError(
                 "the default network's twin is not installed; make it with `python"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """NetVLAD: residuals to 64 words, softly assigned, whitened (Arandjelovic et al. 2016)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,19 +15,13 @@ from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
 from placerec.networks.pooling import Vlad
 from placerec.networks.preprocessing import one_thread
-from placerec.networks.pretrained import read_weights
+from placerec.networks.pretrained import find_pretrained, read_weights
 from placerec.networks.vgg16 import VGG16
 from placerec.networks.whitening import principal_components, whitened_components
-from placerec.recognizers.feature_maps import (
-    FeatureMaps,
-    Layer,
-    facts_of,
-    find_fitted_maps,
-    find_maps,
-)
-from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
+from placerec.recognizers.feature_maps import FeatureMaps, FittedToMaps, Layer, find_maps
+from placerec.recognizers.fitted_file import Fitted
 
-PUBLISHED = Layer(
+_PUBLISHED = Layer(
     # The last convolution before its ReLU, in files named ...netvlad... of the layout that PyTorch
     # implementations share: encoder.N, pool.conv, pool.centroids and, in some, WPCA.0.
     replace(
@@ -48,7 +42,7 @@ _WORDS_FROM, _WHITENED_FROM = 300, 4096
 """Images, spread evenly, that words and whitening are found with."""
 
 
-class NetVlad(FittedRecognizer):
+class NetVlad(FittedToMaps):
     """A network's local features, told by how they differ from words; the cosine compares.
 
     Runs on published weights, a file with netvlad in its name, where these are on the machine, and
@@ -60,6 +54,7 @@ class NetVlad(FittedRecognizer):
     """
 
     name = "netvlad"
+    layers = (_PUBLISHED, _STAND_IN)
     min_similarity = 0.5
 
     def __init__(self, path: Path | None = None) -> None:
@@ -68,15 +63,14 @@ class NetVlad(FittedRecognizer):
         Raises:
             RecognizerError: what is needed is missing, or does not fit.
         """
-        published = PUBLISHED.find() if path is None else None
+        published = find_pretrained("netvlad") if path is None else None
         if published:
             self._path, self._fitted, self.trained_on = None, Fitted({}), ()
-            self._maps = FeatureMaps(PUBLISHED, published)
+            self._maps = FeatureMaps(self.layers[0], published)
         else:
             super().__init__(path)
-            self._maps = find_fitted_maps(self.name, self._fitted, [PUBLISHED, _STAND_IN])
         arrays = {name: torch.from_numpy(a).float() for name, a in self._fitted.arrays.items()}
-        in_file = _published_head() if self._maps.title == PUBLISHED.title else {}
+        in_file = _published_head() if self._maps.title == self.layers[0].title else {}
         self._head = _Head({**in_file, **arrays}).eval()
         self.fingerprint = f"{self._maps.fingerprint} {self._fitted.fingerprint}"
         self.weights = self._maps.weights + _how_fitted(self._fitted, bool(in_file), self._head)
@@ -88,23 +82,23 @@ class NetVlad(FittedRecognizer):
         Raises:
             RecognizerError: there are too few images, or no weights.
         """
-        maps = find_maps([PUBLISHED, _STAND_IN])
-        is_published = maps.title == PUBLISHED.title
+        maps = find_maps(cls.layers)
+        is_published = maps.title == cls.layers[0].title
         with torch.inference_mode():
             learned = {} if is_published else _find_words(maps, images, seed)
             head = _Head({**_published_head(), **learned} if is_published else learned)
-            rows = torch.cat([head(each) for each in _some_maps(maps, images, _WHITENED_FROM)])
+            some = maps.of_some(images, _WHITENED_FROM)
+            rows = torch.cat([head(torch.from_numpy(each)[None]) for each in some])
             learned |= whitening(rows, _MOST_VALUES if is_published else _VALUES)
         arrays = {name: value.numpy() for name, value in learned.items()}
         half = {"whitening.weight": arrays["whitening.weight"].astype(np.float16)}
-        return Fitted(arrays | half, facts_of(maps))
+        return Fitted(arrays | half, maps.facts)
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of a uint8 RGB image of any size."""
         maps = torch.from_numpy(self._maps(image))[None]
         with one_thread(), torch.inference_mode():
-            embedding: NDArray[np.float32] = self._head(maps)[0].numpy()
-        return embedding
+            return np.asarray(self._head(maps)[0], np.float32)
 
 
 class _Head(nn.Module):
@@ -134,7 +128,7 @@ class _Head(nn.Module):
 
 
 def _published_head() -> dict[str, Tensor]:
-    path = PUBLISHED.find()
+    path = find_pretrained("netvlad")
     in_file = read_weights(path) if path else {}
     try:
         conv, centroids = in_file["pool.conv.weight"], in_file["pool.centroids"]
@@ -148,21 +142,12 @@ def _published_head() -> dict[str, Tensor]:
     return {name: value.float() for name, value in head.items()}
 
 
-def _some_maps(
-    maps: FeatureMaps, images: Sequence[NDArray[np.uint8]], at_most: int
-) -> Iterator[Tensor]:
-    return (torch.from_numpy(each)[None] for each in maps.of_some(images, at_most))
-
-
 def _find_words(
     maps: FeatureMaps, images: Sequence[NDArray[np.uint8]], seed: int
 ) -> dict[str, Tensor]:
     """Return the principal components of local features, and words of what these leave of them."""
-    features = [
-        functional.normalize(each, dim=1)[0].flatten(start_dim=1).T
-        for each in _some_maps(maps, images, _WORDS_FROM)
-    ]
-    local = torch.cat(features)
+    some = (torch.from_numpy(each) for each in maps.of_some(images, _WORDS_FROM))
+    local = torch.cat([functional.normalize(each[None], dim=1)[0].flatten(1).T for each in some])
     mean = local.mean(dim=0)
     directions, _ = principal_components(local - mean, _LOCAL_VALUES)
     vlad = Vlad(_WORDS, len(directions))

@@ -13,23 +13,9 @@ from numpy.typing import NDArray
 
 from placerec.checked_recognizer import Embeddings, Similarities
 from placerec.networks import TRUNKS
-from placerec.recognizers.feature_maps import (
-    TINY,
-    FloatArray,
-    Layer,
-    facts_of,
-    find_fitted_maps,
-    find_maps,
-    unit_rows,
-)
-from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
+from placerec.recognizers.feature_maps import FittedToMaps, FloatArray, Layer, find_maps, unit_rows
+from placerec.recognizers.fitted_file import Fitted
 
-LAYERS = (
-    Layer(TRUNKS["vgg16"], "conv5_2", (224, 224)),
-    Layer(TRUNKS["mobilenet_v2"], "block16", (320, 240)),
-)
-"""The paper's, and one whose weights are small; its image size, and EVENNESS, have the highest
-average precision of those tried on the validation floors of ie_tower: 0.47 (0.43 at 192x144)."""
 _SCALES = 3
 _OVERLAP = 0.4
 """Of neighbouring regions of the largest scale, as nearly as the shape of the maps allows."""
@@ -40,7 +26,7 @@ EVENNESS = 0.1
 """Share of the mean variance that is added to each before it is whitened."""
 
 
-class RMac(FittedRecognizer):
+class RMac(FittedToMaps):
     """Regions of a network's last maps, whitened; compared by the regions that match mutually.
 
     Attributes:
@@ -49,12 +35,17 @@ class RMac(FittedRecognizer):
     """
 
     name = "r-mac"
+    layers = (
+        Layer(TRUNKS["vgg16"], "conv5_2", (224, 224)),
+        Layer(TRUNKS["mobilenet_v2"], "block16", (320, 240)),
+    )
+    """The paper's, and one whose weights are small; its image size, and EVENNESS, have the highest
+    average precision of those tried on the validation floors of ie_tower, 0.47 (192x144: 0.43)."""
     min_similarity = 0.055
     looks_back = 0
 
     def __init__(self, path: Path | None = None) -> None:
         super().__init__(path)
-        self._maps = find_fitted_maps(self.name, self._fitted, LAYERS)
         self._mean, self._whitening = (
             self._fitted.arrays[name].astype(np.float32) for name in ("mean", "whitening")
         )
@@ -63,11 +54,11 @@ class RMac(FittedRecognizer):
     @classmethod
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
         """Return the whitening of the regions of images: their principal components."""
-        maps = find_maps(LAYERS)
+        maps = find_maps(cls.layers)
         regions = np.concatenate([pooled_regions(maps(image)) for image in images])
         mean, whitening = principal_components(regions)
         learned = {"mean": mean.astype(np.float16), "whitening": whitening.astype(np.float16)}
-        return Fitted(learned, facts_of(maps))
+        return Fitted(learned, maps.facts)
 
     def embed(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (N, C) float32 unit-length rows of an image's N regions."""
@@ -111,7 +102,7 @@ def principal_components(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean = rows.mean(axis=0, dtype=np.float64)
     centred = rows - mean
     variances, directions = np.linalg.eigh(centred.T @ centred / len(rows))
-    variances = np.maximum(variances, 0.0) + EVENNESS * max(float(variances.mean()), TINY)
+    variances = np.maximum(variances, 0.0) + EVENNESS * max(float(variances.mean()), 1e-12)
     order = np.argsort(-variances)
     whitening = (directions / np.sqrt(variances)).T[order]
     return mean.astype(np.float32), whitening.astype(np.float32)

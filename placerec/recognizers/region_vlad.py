@@ -10,21 +10,9 @@ from scipy import ndimage
 
 from placerec.networks import TRUNKS
 from placerec.networks.pooling import find_words
-from placerec.recognizers.feature_maps import (
-    FloatArray,
-    Layer,
-    facts_of,
-    find_fitted_maps,
-    find_maps,
-    unit_rows,
-)
-from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
+from placerec.recognizers.feature_maps import FittedToMaps, FloatArray, Layer, find_maps, unit_rows
+from placerec.recognizers.fitted_file import Fitted
 
-LAYERS = (
-    Layer(TRUNKS["alexnet"], "conv4", (227, 227)),
-    Layer(TRUNKS["squeezenet"], "fire5", (227, 227)),
-)
-"""The paper's, and one with as many channels whose weights are small."""
 WORDS = 256
 _REGIONS = 200
 _WORDS_FROM = 300
@@ -34,7 +22,7 @@ _TOUCHING[1] = True
 """Which neighbours of a (channel, row, column) are of its region: the eight of its own channel."""
 
 
-class RegionVlad(FittedRecognizer):
+class RegionVlad(FittedToMaps):
     """Connected regions where a channel is active, the strongest of all channels.
 
     A region is described by the sum of all channels within it; the image by how its regions differ
@@ -46,11 +34,15 @@ class RegionVlad(FittedRecognizer):
     """
 
     name = "region-vlad"
+    layers = (
+        Layer(TRUNKS["alexnet"], "conv4", (227, 227)),
+        Layer(TRUNKS["squeezenet"], "fire5", (227, 227)),
+    )
+    """The paper's, and one with as many channels whose weights are small."""
     min_similarity = 0.5
 
     def __init__(self, path: Path | None = None) -> None:
         super().__init__(path)
-        self._maps = find_fitted_maps(self.name, self._fitted, LAYERS)
         self._words = self._fitted.arrays["words"].astype(np.float32)
         self.weights = f"{self._maps.weights}; {len(self._words)} words of {self._fitted.source}"
 
@@ -61,10 +53,10 @@ class RegionVlad(FittedRecognizer):
         Raises:
             RecognizerError: there are too few images, or no published weights.
         """
-        maps = find_maps(LAYERS)
+        maps = find_maps(cls.layers)
         regions = [salient_regions(each) for each in maps.of_some(images, _WORDS_FROM)]
         words = find_words(np.concatenate(regions), WORDS, seed)
-        return Fitted({"words": words.astype(np.float16)}, facts_of(maps))
+        return Fitted({"words": words.astype(np.float16)}, maps.facts)
 
     def embed(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (K * C,) float32 unit-length embedding of a uint8 RGB image of any size."""
@@ -88,8 +80,7 @@ def salient_regions(maps: FloatArray, count: int = _REGIONS) -> FloatArray:
     members = np.flatnonzero(rank[flat] < len(salient))
     masks = np.zeros((len(salient), channel_px), np.float32)
     masks[rank[flat[members]], members % channel_px] = 1.0
-    sums: FloatArray = masks @ maps.reshape(len(maps), channel_px).T
-    return unit_rows(sums)
+    return unit_rows(masks @ maps.reshape(len(maps), channel_px).T)
 
 
 def residuals(regions: FloatArray, words: FloatArray) -> FloatArray:

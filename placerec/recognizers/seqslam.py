@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """SeqSLAM: a place is told not by one image, but by the images on the way to it."""
 
-from functools import cached_property
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +51,7 @@ class SeqSlam:
     Attributes:
         min_similarity: 1 % of the pairs of images of different validation floors of ie_tower are as
             similar, with thumbnails; with another recognizer it may be another.
+        weights, trained_on, fingerprint: of the recognizer of single images.
     """
 
     min_similarity: float = 0.3
@@ -60,24 +59,12 @@ class SeqSlam:
 
     def __init__(self, recognizer: PlaceRecognizer | None = None) -> None:
         """Wrap a recognizer, by default of patch-normalised thumbnails."""
-        self._single = Thumbnails() if recognizer is None else recognizer
-        self._checked = CheckedRecognizer(self._single)
-
-    @property
-    def weights(self) -> str:
-        """What single images are recognised by."""
-        of = getattr(self._single, "weights", "") or type(self._single).__name__
-        return f"sequences of {_SEQUENCE}: {of}"
-
-    @property
-    def trained_on(self) -> tuple[str, ...]:
-        """What the recognizer of single images was trained on."""
-        return tuple(getattr(self._single, "trained_on", ()))
-
-    @cached_property
-    def fingerprint(self) -> str | None:
-        """That of the recognizer of single images, for its embeddings are these; None without."""
-        return getattr(self._single, "fingerprint", None)
+        single = Thumbnails() if recognizer is None else recognizer
+        self._checked = CheckedRecognizer(single)
+        of = getattr(single, "weights", "") or type(single).__name__
+        self.weights = f"sequences of {_SEQUENCE}: {of}"
+        self.trained_on: tuple[str, ...] = tuple(getattr(single, "trained_on", ()))
+        self.fingerprint: str | None = getattr(single, "fingerprint", None)
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) uint8 RGB image, as the recognizer has it."""

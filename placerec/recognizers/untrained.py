@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.networks import TRUNKS
-from placerec.recognizers.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
+from placerec.recognizers.feature_maps import FittedToMaps, Layer, find_maps
+from placerec.recognizers.fitted_file import Fitted
 
 LAYER = Layer(TRUNKS["mobilenet_v2"], "block16", (192, 144))
 
 
-class UntrainedLayer(FittedRecognizer):
+class UntrainedLayer(FittedToMaps):
     """The flattened maps of a layer, less their mean over other images, on the unit sphere.
 
     Which layer matters more than anything else, so it was chosen in this method's favour: of all
@@ -27,27 +27,25 @@ class UntrainedLayer(FittedRecognizer):
     """
 
     name = "untrained"
+    layers = (LAYER,)
     min_similarity = 0.28
 
     def __init__(self, path: Path | None = None) -> None:
         super().__init__(path)
-        self._maps = find_fitted_maps(self.name, self._fitted, [LAYER])
         self._mean = self._fitted.arrays["mean"].astype(np.float32)
         self.weights = f"{self._maps.weights}; mean of {self._fitted.source}"
 
     @classmethod
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
         """Return the layer's mean over images; nothing is drawn."""
-        maps = find_maps([LAYER])
-        total = np.zeros((), np.float64)
-        count = 0
+        maps = find_maps(cls.layers)
+        total, count = np.zeros((), np.float64), 0
         for image in images:
             total = total + maps(image)
             count += 1
-        return Fitted({"mean": (total / max(1, count)).astype(np.float16)}, facts_of(maps))
+        return Fitted({"mean": (total / max(1, count)).astype(np.float16)}, maps.facts)
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of a uint8 RGB image of any size."""
         values = (self._maps(image) - self._mean).ravel()
-        embedding: NDArray[np.float32] = values / np.linalg.norm(values)
-        return embedding
+        return np.asarray(values / np.linalg.norm(values), np.float32)

@@ -13,11 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
 from placerec.files import write_atomically
 from placerec.networks import PlaceNetwork
 from placerec.training.config import TrainingConfig
-from placerec.training.images import Augmentation, PlaceImages
+from placerec.training.images import Augmentation
 
 _MAY_CHANGE = {"steps", "minutes", "learning_rate", "trunk_learning_rate"}
 """Settings that a resumed training need not share with its beginning."""
@@ -25,7 +26,6 @@ _SEEN_IN_NETWORK = {
     *("trunk", "block", "grid", "covariance", "words", "size", "dimension"),
     *("weights", "random_last_layer"),
 }
-DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,10 @@ class Checkpoint:
 
     Attributes:
         settings: the training's settings and data, by name; it goes on only with the same.
-        network: the network's state dict.
-        optimizer: the optimizer's state dict.
+        network, optimizer: their state dicts.
         positives, negatives: (S, A) and (S, B) int64, the present round's image sets.
         used: how many of these were learned from already.
-        round: how often sets were built.
-        step: how many steps were made.
+        round, step: how often sets were built, and how many steps were made.
         elapsed_s: time spent so far.
     """
 
@@ -57,7 +55,7 @@ class Checkpoint:
 
 
 def settings_of(
-    config: TrainingConfig, network: PlaceNetwork, images: PlaceImages
+    config: TrainingConfig, network: PlaceNetwork, images: LabelledImages
 ) -> dict[str, str]:
     """Return what a training must share with the checkpoint it goes on from, by name.
 
@@ -75,9 +73,14 @@ def settings_of(
         f"{network.grid} cells of {size.width_px} x {size.height_px} px, "
         f"covariance {network.covariance}, words {network.words}",
         "last layer": "random at first" if last is nn.Linear else "whitened at first",
-        "images": f"{count} with labels {hashlib.sha256(labels).hexdigest()[:DIGITS]}"
+        "images": f"{count} with labels {short_hash(labels)}"
         + (f" in {collections} collections" if collections > 1 else ""),
     }
+
+
+def short_hash(content: bytes) -> str:
+    """Return what settings name long contents by."""
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def write_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
@@ -106,9 +109,8 @@ def read_checkpoint(path: Path, settings: dict[str, str]) -> Checkpoint:
             loaded = torch.load(content, map_location="cpu", weights_only=True)
         checkpoint = Checkpoint(**loaded)
     except Exception as error:  # torch raises many kinds for a damaged file
-        raise RecognizerError(
-            f"the checkpoint is damaged; remove it to start anew: {path}"
-        ) from error
+        what = "the checkpoint is damaged; remove it to start anew"
+        raise RecognizerError(f"{what}: {path}") from error
     for name in sorted(settings.keys() | checkpoint.settings.keys()):
         now, then = settings.get(name, "unset"), checkpoint.settings.get(name, "unset")
         if now != then:

@@ -1,18 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The settings of a training; where the paper gives a value, it is the default."""
 
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import (
-    ConfigDict,
-    Field,
-    GetPydanticSchema,
-    ModelWrapValidatorHandler,
-    ValidationError,
-    model_validator,
-)
+from pydantic import ConfigDict, Field, GetPydanticSchema, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
 from placerec.errors import RecognizerError
@@ -20,11 +14,7 @@ from placerec.training.image_sets import GAMMA_PRIME, SetRules
 
 
 class Loss(StrEnum):
-    """What is minimised.
-
-    The paper's loss by its farthest positive and nearest negative (eq. 7) or by all of them
-    (eq. 6), or the triplet loss (eq. 2) on the same sets, to compare with.
-    """
+    """What is minimised: eq. 7, eq. 6, or eq. 2 on the same sets, to compare with."""
 
     SIMPLIFIED = "multi-constraint"
     FULL = "multi-constraint-full"
@@ -101,9 +91,7 @@ class TrainingConfig:
 
     @model_validator(mode="wrap")
     @classmethod
-    def _in_one_line(
-        cls, values: object, validate: ModelWrapValidatorHandler["TrainingConfig"]
-    ) -> "TrainingConfig":
+    def _in_one_line(cls, values: object, validate: Callable[[object], Self]) -> Self:
         try:
             return validate(values)
         except ValidationError as error:

@@ -12,14 +12,10 @@ from numpy.typing import NDArray
 
 from placerec.errors import RecognizerError
 
-GAMMA = 0.1
 GAMMA_PRIME = 0.4
-POSITIVES = 4
-NEGATIVES = 4
-BLOCK = 256
+_BLOCK = 256
 
 Indices = NDArray[np.int64]
-Features = NDArray[np.float32]
 BoolMatrix = NDArray[np.bool_]
 
 
@@ -50,14 +46,14 @@ class SetRules:
         negatives: B, images of other places in a set.
     """
 
-    gamma: float = GAMMA
+    gamma: float = 0.1
     gamma_prime: float = GAMMA_PRIME
-    positives: int = POSITIVES
-    negatives: int = NEGATIVES
+    positives: int = 4
+    negatives: int = 4
 
 
 def build_image_sets(
-    features: Features,
+    features: NDArray[np.float32],
     places: Indices,
     rng: np.random.Generator,
     rules: SetRules | None = None,
@@ -81,18 +77,16 @@ def build_image_sets(
     Raises:
         RecognizerError: a feature is not finite, or there are too few places for a set.
     """
-    rules = rules or SetRules()
+    rules, count = rules or SetRules(), len(places)
     _check(features, places, rules)
-    anchors = np.arange(len(places)) if anchors is None else anchors
+    anchors = np.arange(count) if anchors is None else anchors
+    alike = np.broadcast_to(np.False_, (count, count)) if alike is None else alike
     found: dict[int, tuple[Indices, Indices]] = {}
     for own, distances, members in _by_place(features, places, anchors):
         spread = own[distances[own] > rules.gamma]
-        others = places != places[own[0]]
-        if alike is not None:
-            others &= ~alike[own].any(axis=0)
-            if len(np.unique(places[others])) < rules.negatives:
-                continue  # hemmed in by places alike: no set can be completed
-        unlike = np.flatnonzero(others)
+        unlike = np.flatnonzero((places != places[own[0]]) & ~alike[own].any(axis=0))
+        if len(np.unique(places[unlike])) < rules.negatives:
+            continue  # hemmed in by places alike: no set can be completed
         confused = unlike[distances[unlike] < rules.gamma_prime]
         for i in members:
             negatives = _draw_places(confused, places, rules.negatives, rng, alike)  # 7, 9-11
@@ -100,8 +94,10 @@ def build_image_sets(
             if len(negatives) == 0 and len(positives) == 0:
                 continue  # neither line 12 nor line 18 holds: there is nothing to learn here
             positives = _fill_positives(positives, own, rules.positives, rng)
-            missing = rules.negatives - len(negatives)
-            negatives = _fill_negatives(negatives, unlike, places, missing, rng, alike)
+            if missing := rules.negatives - len(negatives):  # 12-14
+                unused = unlike[~np.isin(places[unlike], places[negatives])]
+                added = _draw_places(unused, places, missing, rng, alike, negatives.tolist())
+                negatives = np.concatenate([negatives, added])
             found[int(i)] = positives, negatives
     chosen = [found[i] for i in sorted(found)]
     return ImageSets(
@@ -150,7 +146,7 @@ def sample_scenes(
     return np.flatnonzero(np.isin(places, chosen))
 
 
-def _check(features: Features, places: Indices, rules: SetRules) -> None:
+def _check(features: NDArray[np.float32], places: Indices, rules: SetRules) -> None:
     if len(features) != len(places):
         raise RecognizerError(f"{len(features)} features for {len(places)} place labels")
     count = len(np.unique(places))
@@ -165,7 +161,7 @@ def _check(features: Features, places: Indices, rules: SetRules) -> None:
 
 
 def _by_place(
-    features: Features, places: Indices, anchors: Indices
+    features: NDArray[np.float32], places: Indices, anchors: Indices
 ) -> Iterator[tuple[Indices, NDArray[np.float32], Indices]]:
     """Yield for each place of an anchor what its images share.
 
@@ -180,8 +176,8 @@ def _by_place(
     centres = np.array([features[images].mean(axis=0) for images in own])
     members = np.split(np.argsort(of_anchor, kind="stable"), np.bincount(of_anchor).cumsum()[:-1])
     lengths = np.einsum("id,id->i", features, features)
-    for start in range(0, len(centres), BLOCK):
-        block = centres[start : start + BLOCK]
+    for start in range(0, len(centres), _BLOCK):
+        block = centres[start : start + _BLOCK]
         products = block @ features.T
         squares = np.einsum("pd,pd->p", block, block)[:, None] + lengths - 2.0 * products
         for k, distances in enumerate(squares, start):
@@ -203,7 +199,7 @@ def _draw_places(
     places: Indices,
     count: int,
     rng: np.random.Generator,
-    alike: BoolMatrix | None,
+    alike: BoolMatrix,
     beside: Sequence[int] = (),
 ) -> Indices:
     """Return up to so many candidates in random order, no two of one place.
@@ -212,32 +208,13 @@ def _draw_places(
     """
     shuffled = rng.permutation(candidates)
     _, first = np.unique(places[shuffled], return_index=True)
-    ordered = shuffled[np.sort(first)]
-    if alike is None:
-        return ordered[:count]
     apart: list[int] = []
     rest: list[int] = []
-    for image in ordered.tolist():
+    for image in shuffled[np.sort(first)].tolist():
         if len(apart) == count:
             break
         (rest if alike[image, [*beside, *apart]].any() else apart).append(image)
     return np.array((apart + rest)[:count], np.int64)
-
-
-def _fill_negatives(
-    negatives: Indices,
-    others: Indices,
-    places: Indices,
-    missing: int,
-    rng: np.random.Generator,
-    alike: BoolMatrix | None,
-) -> Indices:
-    """Add images of yet other places, as many as are missing (lines 12-14)."""
-    if not missing:
-        return negatives
-    unused = others[~np.isin(places[others], places[negatives])]
-    added = _draw_places(unused, places, missing, rng, alike, negatives.tolist())
-    return np.concatenate([negatives, added])
 
 
 def _fill_positives(

@@ -10,12 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
 from placerec.files import Progress
 from placerec.networks import PlaceNetwork
 from placerec.training.config import Loss, TrainingConfig
 from placerec.training.image_sets import ImageSets
-from placerec.training.images import Augmentation, PlaceImages
+from placerec.training.images import Augmentation
 from placerec.training.losses import (
     draw_partners,
     multi_constraint_loss,
@@ -44,7 +45,11 @@ class Learner:
     """
 
     def __init__(
-        self, network: PlaceNetwork, images: PlaceImages, config: TrainingConfig, workers: Workers
+        self,
+        network: PlaceNetwork,
+        images: LabelledImages,
+        config: TrainingConfig,
+        workers: Workers,
     ) -> None:
         """Move the network to the workers' device and freeze its early layers.
 

@@ -58,9 +58,8 @@ class TrainingLog:
             RecognizerError: it cannot be read or written, or is no training's.
         """
         self._path = path
-        kept = [record for record in read_log(path) if record.step <= last_step]
-        lines = [_NAMES, *(_row(record) for record in kept)]
-        write_atomically(path, "".join(",".join(line) + "\n" for line in lines).encode())
+        kept = [_line(record) for record in read_log(path) if record.step <= last_step]
+        write_atomically(path, "".join([",".join(_NAMES) + "\n", *kept]))
 
     def add(self, record: StepRecord) -> None:
         """Write a line.
@@ -70,11 +69,10 @@ class TrainingLog:
         """
         try:
             with self._path.open("a", newline="", encoding="utf-8") as file:
-                file.write(",".join(_row(record)) + "\n")
+                file.write(_line(record))
         except OSError as error:
-            raise RecognizerError(
-                f"cannot write the log: {error.strerror}: {self._path}"
-            ) from error
+            why = error.strerror
+            raise RecognizerError(f"cannot write the log: {why}: {self._path}") from error
 
 
 def read_log(path: Path) -> list[StepRecord]:
@@ -101,9 +99,9 @@ def read_log(path: Path) -> list[StepRecord]:
         ) from error
 
 
-def _row(record: StepRecord) -> list[str]:
+def _line(record: StepRecord) -> str:
     values = astuple(record)
-    return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in values]
+    return ",".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in values) + "\n"
 
 
 def write_plot(records: Sequence[StepRecord], path: Path) -> None:
@@ -136,5 +134,4 @@ def _smooth(values: Sequence[float]) -> NDArray[np.float64]:
     sums = np.concatenate([[0.0], np.cumsum(values)])
     middle = np.arange(len(values))
     start, stop = np.maximum(middle - half, 0), np.minimum(middle + half + 1, len(values))
-    means: NDArray[np.float64] = (sums[stop] - sums[start]) / (stop - start)
-    return means
+    return np.asarray((sums[stop] - sums[start]) / (stop - start))

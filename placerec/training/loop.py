@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
 from placerec.files import Progress
 from placerec.networks import PlaceNetwork
 from placerec.training.checkpoint import Checkpoint, read_checkpoint, settings_of, write_checkpoint
 from placerec.training.config import TrainingConfig
 from placerec.training.image_sets import ImageSets, build_image_sets, sample_images, sample_scenes
-from placerec.training.images import PlaceImages
 from placerec.training.learner import Learner
 from placerec.training.log import StepRecord, TrainingLog
 from placerec.training.workers import Workers
@@ -44,6 +43,7 @@ class Training:
 
     Attributes:
         network: what is trained, in place.
+        checkpoint_path: where the last good state is.
         end: why it is over, None while it is not.
     """
 
@@ -52,7 +52,7 @@ class Training:
     def __init__(
         self,
         network: PlaceNetwork,
-        images: PlaceImages,
+        images: LabelledImages,
         config: TrainingConfig,
         folder: Path,
         *,
@@ -73,13 +73,11 @@ class Training:
             origin: what else must be the same, by name, for the folder's training to go on.
 
         Raises:
-            RecognizerError: the images have no labels, the folder's checkpoint is damaged or of
-                another training, a file cannot be written, or frozen_block does not fit.
+            RecognizerError: the folder's checkpoint is damaged or of another training, a file
+                cannot be written, or frozen_block does not fit.
         """
-        if images.places is None:
-            raise RecognizerError("the images come without place labels; there is none to learn")
         self.network, self._images, self._places = network, images, images.places
-        self._config, self._folder = config, folder
+        self._config, self.checkpoint_path = config, folder / "checkpoint.pt"
         self._workers = workers or Workers()
         self._progress = progress
         self._settings = settings_of(config, network, images) | dict(origin or {})
@@ -89,11 +87,6 @@ class Training:
         if self.checkpoint_path.exists():
             self._resume(read_checkpoint(self.checkpoint_path, self._settings))
         self._log = TrainingLog(folder / LOG_NAME, self._step) if self._workers.is_first else None
-
-    @property
-    def checkpoint_path(self) -> Path:
-        """Where the last good state is."""
-        return self._folder / "checkpoint.pt"
 
     def __iter__(self) -> Generator[StepRecord, None, None]:
         """Yield what each step did, until no set can be formed or the budget is spent.
@@ -136,8 +129,17 @@ class Training:
 
     def _build_sets(self) -> None:
         """Start a round: one anchor of each place, among the images looked at this time."""
-        rng = np.random.default_rng([self._config.seed, self._round])
-        seen = self._draw_images(rng)
+        config, scenes = self._config, self._images.scenes
+        rng = np.random.default_rng([config.seed, self._round])
+        visited = sample_scenes(
+            scenes,
+            self._places,
+            self._images.collections,
+            config.scenes_per_round or len(scenes),
+            config.places_per_scene or len(scenes),
+            rng,
+        )
+        seen = visited[sample_images(self._places[visited], config.images_per_place, rng)]
         places = self._places[seen]
         try:
             features = self._learner.embed(seen, self._progress)
@@ -146,21 +148,9 @@ class Training:
             raise
         anchors = rng.permutation(sample_images(places, 1, rng))
         alike = self._images.alike(seen)
-        sets = build_image_sets(features, places, rng, self._config.rules, anchors, alike)
+        sets = build_image_sets(features, places, rng, config.rules, anchors, alike)
         self._sets = ImageSets(seen[sets.positives], seen[sets.negatives])
         self._used, self._round = 0, self._round + 1
-
-    def _draw_images(self, rng: np.random.Generator) -> NDArray[np.int64]:
-        config, places, scenes = self._config, self._places, self._images.scenes
-        visited = sample_scenes(
-            scenes,
-            places,
-            self._images.collections,
-            config.scenes_per_round or len(scenes),
-            config.places_per_scene or len(places),
-            rng,
-        )
-        return visited[sample_images(places[visited], config.images_per_place, rng)]
 
     def _learn(self) -> StepRecord:
         before_s = self._elapsed_s

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training as planned: from a network's starting weights to the files that it leaves."""
 
-import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from placerec.certificate import Certificate
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
 from placerec.files import Progress
@@ -18,7 +16,7 @@ from placerec.networks.pretrained import load_pretrained, make_folder
 from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge, whiten
 from placerec.recognizers.learned import LearnedRecognizer
-from placerec.training.checkpoint import DIGITS
+from placerec.training.checkpoint import short_hash
 from placerec.training.config import TrainingConfig
 from placerec.training.learner import IMAGES_PER_PASS
 from placerec.training.log import read_log, write_plot
@@ -32,23 +30,13 @@ NetVLAD; more cost time and memory."""
 
 
 def start_training(
-    config: TrainingConfig,
-    images: LabelledImages,
-    folder: Path,
-    workers: Workers,
-    progress: Progress,
+    config: TrainingConfig, images: LabelledImages, folder: Path, workers: Workers, look: Progress
 ) -> Training:
     """Return a training as configured, or the one that the folder holds a checkpoint of.
 
     The trunk starts from the given weights, the fully connected layer from the whitened principal
-    components of what the trunk makes of the images, or from random weights.
-
-    Args:
-        config: what is asked for.
-        images: to learn from.
-        folder: for all files; made where it is missing.
-        workers: the processes that share the training.
-        progress: called while images are looked at.
+    components of what the trunk makes of the images, or from random weights. `look` is called while
+    images are looked at; the folder is made where it is missing.
 
     Raises:
         RecognizerError: the network or its weights cannot be used, the checkpoint is damaged or of
@@ -57,13 +45,11 @@ def start_training(
     network, start = _network(config), "random weights"
     if config.weights is not None:
         load_pretrained(network, config.weights)
-        start = _hash(config.weights.read_bytes())
+        start = short_hash(config.weights.read_bytes())
     make_folder(folder)
-    _start_last_layers(network, config, images, workers.device, progress)
-    origin = {"start": start, "names of images": _hash("\n".join(images.names).encode())}
-    return Training(
-        network, images, config, folder, workers=workers, progress=progress, origin=origin
-    )
+    _start_last_layers(network.to(workers.device).eval(), config, images, workers.device, look)
+    origin = {"start": start, "names of images": short_hash("\n".join(images.names).encode())}
+    return Training(network, images, config, folder, workers=workers, progress=look, origin=origin)
 
 
 def write_results(training: Training, config: TrainingConfig, folder: Path) -> Path:
@@ -81,17 +67,14 @@ def write_results(training: Training, config: TrainingConfig, folder: Path) -> P
     path = folder / WEIGHTS_NAME
     merge(training.network)
     save_weights(training.network, path, 1.0 - config.gamma_prime / 2.0)
-    if certificate := _certificate_of(path):
+    try:
+        certificate = LearnedRecognizer(path).certificate
+    except RecognizerError:  # it is of earlier weights: these have to be calibrated anew
+        certificate = None
+    if certificate:
         save_weights(training.network, path, certificate.min_similarity)
     write_plot(read_log(folder / LOG_NAME), folder / "log.png")
     return path
-
-
-def _certificate_of(weights: Path) -> Certificate | None:
-    try:
-        return LearnedRecognizer(weights).certificate
-    except RecognizerError:  # it is of earlier weights: these have to be calibrated anew
-        return None
 
 
 def _network(config: TrainingConfig) -> PlaceNetwork:
@@ -113,39 +96,26 @@ def _network(config: TrainingConfig) -> PlaceNetwork:
     )
 
 
-def _hash(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:DIGITS]
-
-
 @torch.no_grad()
 def _start_last_layers(
     network: PlaceNetwork,
     config: TrainingConfig,
     images: LabelledImages,
     device: torch.device,
-    progress: Progress,
+    look: Progress,
 ) -> None:
-    network.to(device).eval()
+    def maps_of(at_most: int) -> Iterator[Tensor]:
+        """Yield the trunk's maps of some images, as many of each collection."""
+        chosen = images.spread(at_most)
+        for start in range(0, len(chosen), IMAGES_PER_PASS):
+            part = [images[int(i)] for i in chosen[start : start + IMAGES_PER_PASS]]
+            yield network.features(network.prepare(part).to(device))
+            look(start + len(part), len(chosen))
+
     if isinstance(network.pool[-1], Vlad):
-        maps = torch.cat(list(_maps(network, images, _WORDS_FROM, device, progress)))
+        maps = torch.cat(list(maps_of(_WORDS_FROM)))
         local = network.pool[:-1](maps).permute(0, 2, 3, 1).flatten(end_dim=2)
         network.pool[-1].start(local, config.seed)
-    if config.random_last_layer:
-        return
-    maps_of_all = _maps(network, images, _COMPONENTS_FROM, device, progress)
-    whiten(network, torch.cat([network.flatten(maps) for maps in maps_of_all]), config.seed)
-
-
-def _maps(
-    network: PlaceNetwork,
-    images: LabelledImages,
-    at_most: int,
-    device: torch.device,
-    progress: Progress,
-) -> Iterator[Tensor]:
-    """Yield the trunk's maps of some images, as many of each collection."""
-    chosen = images.spread(at_most)
-    for start in range(0, len(chosen), IMAGES_PER_PASS):
-        part = [images[int(i)] for i in chosen[start : start + IMAGES_PER_PASS]]
-        yield network.features(network.prepare(part).to(device))
-        progress(start + len(part), len(chosen))
+    if not config.random_last_layer:
+        values = torch.cat([network.flatten(maps) for maps in maps_of(_COMPONENTS_FROM)])
+        whiten(network, values, config.seed)

@@ -14,25 +14,22 @@ class Workers:
     Attributes:
         rank: which process this is, from 0.
         count: how many there are.
+        is_first: whether this process writes files.
         device: what this process computes on.
     """
 
-    def __init__(self, device: torch.device | None = None) -> None:
-        """Join the processes that torchrun started, where it did; default device: a GPU."""
+    def __init__(self) -> None:
+        """Join the processes that torchrun started, where it did, on a GPU each if there are."""
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
         self.rank = int(os.environ.get("RANK", "0"))
-        if device is None and torch.cuda.is_available():
-            device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-            torch.cuda.set_device(device)
-        self.device = device or torch.device("cpu")
+        self.is_first = self.rank == 0
+        self.device = torch.device("cpu")
+        if torch.cuda.is_available():
+            self.device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+            torch.cuda.set_device(self.device)
         if self.count > 1 and not distributed.is_initialized():
             backend = "nccl" if self.device.type == "cuda" else "gloo"
             distributed.init_process_group(backend)
-
-    @property
-    def is_first(self) -> bool:
-        """Whether this process writes files."""
-        return self.rank == 0
 
     def share(self, count: int) -> range:
         """Return which of so many pieces of work are this process's."""

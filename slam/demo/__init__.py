@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A furnished room made from a seed: recordings with exact truth, or frames while one watches.
+"""Furnished rooms made from a seed, for sequences with exact ground truth."""
 
-`render_sequence` writes a recording. For single frames, `build_room` makes the room, `drive` the
-poses of a camera that is carried round it, a lap in LAP_S, and `render` what it sees from one.
-"""
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from slam.demo.drive import LAP_S, drive
-from slam.demo.recording import render_sequence
-from slam.demo.room import Room, build_room, render
+if TYPE_CHECKING:
+    from slam.demo.recording import LAP_S, drive, render_sequence
+    from slam.demo.room import build_room, render
 
-__all__ = ["LAP_S", "Room", "build_room", "drive", "render", "render_sequence"]
+__all__ = ["LAP_S", "build_room", "drive", "render", "render_sequence"]
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("slam.demo.recording"), name)  # slow: it loads open3d

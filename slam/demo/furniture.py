@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """What stands and hangs in a room: each piece is a list of panels in its own frame.
 
-Pieces stand on y = 0 with their back at z = 0, x from their middle, front towards +z.
+Pieces stand on y = 0 with their back at z = 0, x from their middle, front towards +z. Sizes are
+width, height, depth in metres.
 """
 
 from functools import partial
 
 import numpy as np
+from numpy.random import Generator
 
 from slam.demo.panels import Panel, Point, box, sheet, turned
-from slam.demo.textures import Colour, Material, Rng, cloth, panelling, plaster, wood
-from slam.demo.wall_pictures import abstract, colour_of, contours, framed, screen, spine
+from slam.demo.textures import Colour, Material, cloth, colour_of, panelling, plaster, wood
+from slam.demo.wall_pictures import abstract, contours, framed, screen, spine
 from slam.types import FloatArray
-
-
-def veneer(rng: Rng) -> Material:
-    """Return a wood of random tone, from beech to walnut, sometimes painted."""
-    tone = rng.uniform(0.45, 1.0)
-    natural: Colour = (215.0 * tone, 165.0 * tone**1.2, 110.0 * tone**1.4)
-    return partial(wood, colour=natural if rng.random() < 0.7 else colour_of(rng, 60, 200))
 
 
 def picture(
@@ -26,7 +21,7 @@ def picture(
     centre: Point,
     width_m: float,
     height_m: float,
-    rng: Rng,
+    rng: Generator,
     material: Material = framed,
 ) -> list[Panel]:
     """Return a picture hanging 2 cm before the wall."""
@@ -35,24 +30,9 @@ def picture(
     return box(T, low, (width_m, height_m, 0.02), rng, frame, material)
 
 
-def books(T: FloatArray, low: Point, width_m: float, height_m: float, rng: Rng) -> list[Panel]:
-    """Return a row of upright books of uneven size, with a gap here and there."""
-    panels: list[Panel] = []
-    x = low[0]
-    while True:
-        thick, tall, deep = rng.uniform((0.02, 0.65, 0.13), (0.06, 0.95, 0.21))
-        if x + thick > low[0] + width_m:
-            return panels
-        if rng.random() > 0.08:
-            cover = partial(plaster, colour=colour_of(rng, 30, 200))
-            size = (thick, tall * height_m, deep)
-            panels += box(T, (x, low[1], low[2]), size, rng, cover, spine)
-        x += thick + 0.002
-
-
-def bookcase(T: FloatArray, width_m: float, height_m: float, rng: Rng) -> list[Panel]:
+def bookcase(T: FloatArray, width_m: float, height_m: float, rng: Generator) -> list[Panel]:
     """Return an open bookcase 30 cm deep, a board every 30 cm or so, filled with books."""
-    material, depth, thick = veneer(rng), 0.30, 0.025
+    material, depth, thick = _veneer(rng), 0.30, 0.025
     left, shelves = -width_m / 2, max(2, round(height_m / 0.33))
     pitch = (height_m - thick) / shelves
     panels = box(T, (left, 0, 0), (width_m, height_m, 0.01), rng, material)
@@ -64,13 +44,13 @@ def bookcase(T: FloatArray, width_m: float, height_m: float, rng: Rng) -> list[P
     inner = (width_m - 2 * thick - 0.02) * rng.uniform(0.7, 1.0, shelves)
     for shelf in range(shelves):
         low = (left + thick + 0.01, shelf * pitch + thick, 0.03)
-        panels += books(T, low, inner[shelf], pitch - thick - 0.02, rng)
+        panels += _books(T, low, inner[shelf], pitch - thick - 0.02, rng)
     return panels
 
 
-def table(T: FloatArray, size: Point, rng: Rng) -> list[Panel]:
-    """Return a table: a top on four legs; size is width, height, depth."""
-    (w, h, d), material = size, veneer(rng)
+def table(T: FloatArray, size: Point, rng: Generator) -> list[Panel]:
+    """Return a table: a top on four legs."""
+    (w, h, d), material = size, _veneer(rng)
     panels = box(T, (-w / 2, h - 0.04, 0), (w, 0.04, d), rng, material)
     for x in (-w / 2 + 0.03, w / 2 - 0.08):
         for z in (0.03, d - 0.08):
@@ -78,8 +58,8 @@ def table(T: FloatArray, size: Point, rng: Rng) -> list[Panel]:
     return panels
 
 
-def clutter(T: FloatArray, size: Point, rng: Rng, count: int) -> list[Panel]:
-    """Return tins, parcels and books strewn on a surface at y = size[1], width x depth as size."""
+def clutter(T: FloatArray, size: Point, rng: Generator, count: int) -> list[Panel]:
+    """Return tins, parcels and books strewn over the top of something of that size."""
     w, h, d = size
     panels: list[Panel] = []
     for x in np.linspace(-w / 2 + 0.1, w / 2 - 0.1, count):
@@ -96,38 +76,36 @@ def clutter(T: FloatArray, size: Point, rng: Rng, count: int) -> list[Panel]:
     return panels
 
 
-def desk(T: FloatArray, rng: Rng) -> list[Panel]:
+def desk(T: FloatArray, rng: Generator) -> list[Panel]:
     """Return a desk with a monitor, a keyboard, books and things on it, and a chair before it."""
     panels = table(T, (1.5, 0.74, 0.6), rng)
-    dark = partial(plaster, colour=(45.0, 45.0, 50.0))
+    dark, grey = partial(plaster, colour=(45, 45, 50)), partial(cloth, colour=(60, 60, 65))
     shown = turned(T, (rng.uniform(-0.3, 0.1), 0.74, 0.18), rng.uniform(-12, 12))
     panels += box(shown, (-0.03, 0, 0), (0.06, 0.12, 0.04), rng, dark)
     panels += box(shown, (-0.29, 0.1, 0.03), (0.58, 0.35, 0.03), rng, dark, screen)
-    panels += box(
-        shown, (-0.21, 0, 0.18), (0.42, 0.02, 0.14), rng, partial(cloth, colour=(60, 60, 65))
-    )
-    panels += books(T, (0.40, 0.74, 0.05), 0.3, 0.3, rng)
+    panels += box(shown, (-0.21, 0, 0.18), (0.42, 0.02, 0.14), rng, grey)
+    panels += _books(T, (0.40, 0.74, 0.05), 0.3, 0.3, rng)
     panels += clutter(turned(T, (-0.58, 0, 0)), (0.3, 0.74, 0.5), rng, 2)
     return panels + chair(turned(T, (rng.uniform(0.2, 0.5), 0, 0.45), rng.uniform(-40, 40)), rng)
 
 
-def chair(T: FloatArray, rng: Rng) -> list[Panel]:
+def chair(T: FloatArray, rng: Generator) -> list[Panel]:
     """Return a chair with a woven seat and back."""
-    cover: Material = partial(cloth, colour=colour_of(rng, 50, 200))
+    cover = partial(cloth, colour=colour_of(rng, 50, 200))
     panels = table(turned(T, (0, 0, -0.21)), (0.42, 0.44, 0.42), rng)
     panels += box(T, (-0.21, 0.44, -0.21), (0.42, 0.05, 0.42), rng, cover)
     return panels + box(T, (-0.21, 0.49, 0.19), (0.42, 0.42, 0.03), rng, cover)
 
 
-def cupboard(T: FloatArray, size: Point, rng: Rng) -> list[Panel]:
-    """Return a closed cupboard with boarded doors and things on top; width, height, depth."""
+def cupboard(T: FloatArray, size: Point, rng: Generator) -> list[Panel]:
+    """Return a closed cupboard with boarded doors and things on top."""
     w, h, d = size
     front = partial(panelling, colour=colour_of(rng, 70, 190))
-    panels = box(T, (-w / 2, 0, 0), (w, h, d), rng, veneer(rng), front)
+    panels = box(T, (-w / 2, 0, 0), (w, h, d), rng, _veneer(rng), front)
     return panels + clutter(T, size, rng, max(1, int(w / 0.28)))
 
 
-def curtain(T: FloatArray, width_m: float, height_m: float, rng: Rng) -> list[Panel]:
+def curtain(T: FloatArray, width_m: float, height_m: float, rng: Generator) -> list[Panel]:
     """Return a curtain in folds, 8 cm deep."""
     x = np.linspace(-width_m / 2, width_m / 2, 11)
     z = 0.04 * (-1.0) ** np.arange(11)
@@ -136,9 +114,33 @@ def curtain(T: FloatArray, width_m: float, height_m: float, rng: Rng) -> list[Pa
 
 
 def tube(
-    T: FloatArray, radius_m: float, height_m: float, rng: Rng, material: Material
+    T: FloatArray, radius_m: float, height_m: float, rng: Generator, material: Material
 ) -> list[Panel]:
     """Return an open round vessel: a tin, a vase, a bin."""
     angles = np.linspace(-np.pi, np.pi, 13)
     outline = radius_m * np.stack([np.sin(angles), np.cos(angles)], axis=1)
     return sheet(T, outline, height_m, rng, material)
+
+
+def _books(
+    T: FloatArray, low: Point, width_m: float, height_m: float, rng: Generator
+) -> list[Panel]:
+    """Return a row of upright books of uneven size, with a gap here and there."""
+    panels: list[Panel] = []
+    x = low[0]
+    while True:
+        thick, tall, deep = rng.uniform((0.02, 0.65, 0.13), (0.06, 0.95, 0.21))
+        if x + thick > low[0] + width_m:
+            return panels
+        if rng.random() > 0.08:
+            cover = partial(plaster, colour=colour_of(rng, 30, 200))
+            size = (thick, tall * height_m, deep)
+            panels += box(T, (x, low[1], low[2]), size, rng, cover, spine)
+        x += thick + 0.002
+
+
+def _veneer(rng: Generator) -> Material:
+    """Return a wood of random tone, from beech to walnut, sometimes painted."""
+    tone = rng.uniform(0.45, 1.0)
+    natural: Colour = (215.0 * tone, 165.0 * tone**1.2, 110.0 * tone**1.4)
+    return partial(wood, colour=natural if rng.random() < 0.7 else colour_of(rng, 60, 200))

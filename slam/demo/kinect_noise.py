@@ -11,49 +11,51 @@ intrinsic calibration of depth sensors via SLAM", RSS 2013.
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from slam.types import Camera
 
-_RANGE_M = (0.5, 5.0)
-_MAX_INCIDENCE_DEG = 80.0
 DISPARITY_STEPS_M = 351.0
 """Disparity of a surface at 1 m, in steps: 585 px focal length x 0.075 m baseline x 8 steps."""
 _BASELINE_M = 0.075
+_LOW_M, _HIGH_M = 0.5, 5.0
+_MAX_INCIDENCE_DEG = 80.0
 _JITTER_PX = 0.5  # lateral noise in an image of 525 px focal length
-_MEAN_BIAS, _BIAS_SWING = 0.004, 0.005
 
-DepthImage = NDArray[np.float32]
+_DepthImage = NDArray[np.float32]
 
 
-def add_kinect_noise(depth_m: DepthImage, camera: Camera, rng: np.random.Generator) -> DepthImage:
+def add_kinect_noise(depth_m: _DepthImage, camera: Camera, rng: Generator) -> _DepthImage:
     """Return the depth that the sensor would report, 0 where it sees nothing.
 
-    Args:
-        depth_m: (H, W) float32, metres, exact; 0 where there is no surface.
-        camera: the camera it belongs to.
-        rng: source of the noise; the device's own distortion does not depend on it.
+    The exact depth is (H, W) float32, metres, 0 where there is no surface. The device's own
+    distortion does not depend on `rng`.
     """
     blind = in_projector_shadow(depth_m, camera) | is_grazing(depth_m, camera)
     lit_m = np.where(blind, np.float32(0.0), depth_m)
-    seen_m = _jittered(lit_m, _JITTER_PX * camera.fx / 525.0, rng) * (1.0 + depth_bias(camera))
+    # Edges are ragged: each pixel is taken from a little way off.
+    u, v = _JITTER_PX * camera.fx / 525.0 * rng.standard_normal((2, *lit_m.shape), np.float32)
+    u += np.arange(camera.width, dtype=np.float32)
+    v += np.arange(camera.height, dtype=np.float32)[:, None]
+    moved_m = cv2.remap(lit_m, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    seen_m = moved_m * (1.0 + depth_bias(camera))
     sigma_m = 0.0012 + 0.0019 * (seen_m - 0.4) ** 2
     seen_m += sigma_m * rng.standard_normal(seen_m.shape, np.float32)
-    low_m, high_m = _RANGE_M
-    steps = np.rint(DISPARITY_STEPS_M / np.clip(seen_m, low_m, high_m))
-    in_range = (seen_m > low_m) & (seen_m < high_m)
+    steps = np.rint(DISPARITY_STEPS_M / np.clip(seen_m, _LOW_M, _HIGH_M))
+    in_range = (seen_m > _LOW_M) & (seen_m < _HIGH_M)
     return np.where(in_range, DISPARITY_STEPS_M / steps, 0.0).astype(np.float32)
 
 
-def depth_bias(camera: Camera) -> DepthImage:
+def depth_bias(camera: Camera) -> _DepthImage:
     """Return (H, W) relative depth error of this device: smooth, fixed, -0.1 to 0.9 percent."""
     x = np.linspace(-1.0, 1.0, camera.width, dtype=np.float32)[None, :]
     y = np.linspace(-1.0, 1.0, camera.height, dtype=np.float32)[:, None]
     waves = 0.6 * np.sin(2.2 * x + 0.6) + 0.4 * np.cos(2.6 * y - 1.9 * x)
-    return np.asarray(_MEAN_BIAS + _BIAS_SWING * waves, np.float32)
+    return np.asarray(0.004 + 0.005 * waves, np.float32)
 
 
-def in_projector_shadow(depth_m: DepthImage, camera: Camera) -> NDArray[np.bool_]:
+def in_projector_shadow(depth_m: _DepthImage, camera: Camera) -> NDArray[np.bool_]:
     """Return (H, W) where something nearer keeps the projector's light away: left of edges.
 
     The projector stands to the right of the camera and sees column u at u - f b / z. Where a pixel
@@ -65,7 +67,7 @@ def in_projector_shadow(depth_m: DepthImage, camera: Camera) -> NDArray[np.bool_
     return np.asarray(seen_u > leftmost)
 
 
-def is_grazing(depth_m: DepthImage, camera: Camera) -> NDArray[np.bool_]:
+def is_grazing(depth_m: _DepthImage, camera: Camera) -> NDArray[np.bool_]:
     """Return (H, W) where a surface is seen too flat to send light back, depth edges included."""
     x = ((np.arange(camera.width, dtype=np.float32) - camera.cx) / camera.fx)[None, :]
     y = ((np.arange(camera.height, dtype=np.float32) - camera.cy) / camera.fy)[:, None]
@@ -77,17 +79,7 @@ def is_grazing(depth_m: DepthImage, camera: Camera) -> NDArray[np.bool_]:
     return np.asarray(depth_m < np.cos(np.radians(_MAX_INCIDENCE_DEG)) * lengths)
 
 
-def _jittered(depth_m: DepthImage, sigma_px: float, rng: np.random.Generator) -> DepthImage:
-    """Return the depth with each pixel taken from a little way off: ragged edges."""
-    height, width = depth_m.shape
-    offsets_px = sigma_px * rng.standard_normal((2, height, width), np.float32)
-    u = offsets_px[0] + np.arange(width, dtype=np.float32)
-    v = offsets_px[1] + np.arange(height, dtype=np.float32)[:, None]
-    moved = cv2.remap(depth_m, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(moved, np.float32)
-
-
-def add_colour_noise(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def add_colour_noise(rgb: NDArray[np.uint8], rng: Generator) -> NDArray[np.uint8]:
     """Return a (H, W, 3) uint8 image as a cheap lens and chip take it: soft, vignetted, grainy."""
     height, width = rgb.shape[:2]
     x = np.linspace(-1.0, 1.0, width, dtype=np.float32)[None, :, None]

@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Textured rectangles, and the solids put together from them.
+"""Textured rectangles, the solids put together from them, and how lamps light them.
 
-Furniture is laid out in its own frame: x right and y up as seen from the front, z to the viewer.
+What is put together is given in a frame of its own: x right and y up as seen from the front, z to
+the viewer. `T` takes it to the world (T_world_local).
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+import open3d as o3d
+from numpy.random import Generator
 from numpy.typing import NDArray
 
-from slam.demo.textures import Image, Material, Rng, to_image
+from slam.demo.textures import Image, Material, to_image
 from slam.geometry.se3 import from_rotation_translation
 from slam.types import FloatArray
 
-if TYPE_CHECKING:
-    from open3d.t.geometry import RaycastingScene
+_CELL_M = 0.08  # of the light maps
+_CLEARANCE_M = 0.004  # from a surface to the points before it whose light is computed
+_LAMP_SAMPLES, _LAMP_SIZE_M, _LAMP_BRIGHTNESS = 4, 0.12, 1.75
+_SKY_SAMPLES, _SKY_REACH_M, _SKY_BRIGHTNESS = 12, 0.8, 0.55
 
 Point = tuple[float, float, float]
 
@@ -36,33 +40,25 @@ class Panel:
     down_m: FloatArray
     texture: Image
 
-    @property
-    def normal(self) -> FloatArray:
-        """The (3,) unit normal on the side the picture is seen from, world."""
-        across = np.cross(self.down_m, self.right_m)
-        return np.asarray(across / np.linalg.norm(across))
 
-
-def panel(
-    T_world_local: FloatArray, corner: Point, right: Point, down: Point, texture: Image
-) -> Panel:
+def panel(T: FloatArray, corner: Point, right: Point, down: Point, texture: Image) -> Panel:
     """Return a panel given in a local frame, metres."""
-    R = T_world_local[:3, :3]
-    return Panel(R @ corner + T_world_local[:3, 3], R @ right, R @ down, texture)
+    R = T[:3, :3]
+    return Panel(R @ corner + T[:3, 3], R @ right, R @ down, texture)
 
 
-def turned(T_world_local: FloatArray, at: Point, angle_deg: float = 0.0) -> FloatArray:
+def turned(T: FloatArray, at: Point, angle_deg: float = 0.0) -> FloatArray:
     """Return T_world_part of a part standing at a local point, turned about the upright axis."""
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     R_local_part = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    return T_world_local @ from_rotation_translation(R_local_part, np.asarray(at))
+    return T @ from_rotation_translation(R_local_part, np.asarray(at))
 
 
 def box(
-    T_world_local: FloatArray,
+    T: FloatArray,
     low: Point,
     size: Point,
-    rng: Rng,
+    rng: Generator,
     sides: Material,
     front: Material | None = None,
 ) -> list[Panel]:
@@ -71,7 +67,6 @@ def box(
     top, bottom = sides(rng, w, d), sides(rng, w, d)
     left, right = sides(rng, d, h), sides(rng, d, h)
     face = (front or sides)(rng, w, h)
-    T = T_world_local
     return [
         panel(T, (x, y + h, z + d), (w, 0, 0), (0, -h, 0), face),
         panel(T, (x, y + h, z), (w, 0, 0), (0, 0, d), top),
@@ -82,11 +77,7 @@ def box(
 
 
 def sheet(
-    T_world_local: FloatArray,
-    outline_xz_m: FloatArray,
-    height_m: float,
-    rng: Rng,
-    material: Material,
+    T: FloatArray, outline_xz_m: FloatArray, height_m: float, rng: Generator, material: Material
 ) -> list[Panel]:
     """Return an upright sheet bent along an outline, one texture running over all its panels.
 
@@ -95,25 +86,21 @@ def sheet(
     steps = np.diff(outline_xz_m, axis=0)
     whole = material(rng, float(np.linalg.norm(steps, axis=1).sum()), height_m)
     pieces = np.array_split(whole, len(steps), axis=1)
-    down = (0.0, -height_m, 0.0)
     return [
-        panel(T_world_local, (x, height_m, z), (dx, 0.0, dz), down, np.ascontiguousarray(piece))
+        panel(T, (x, height_m, z), (dx, 0, dz), (0, -height_m, 0), np.ascontiguousarray(piece))
         for (x, z), (dx, dz), piece in zip(outline_xz_m[:-1], steps, pieces, strict=True)
     ]
 
 
-def scene_of(panels: list[Panel]) -> "RaycastingScene":
+def scene_of(panels: list[Panel]) -> o3d.t.geometry.RaycastingScene:
     """Return the panels' geometry for ray casting; panel i is triangles 2 i and 2 i + 1.
 
     Triangle 2 i starts at the texture's upper left, 2 i + 1 at its lower right: in both the
     barycentric coordinates run along the texture's edges, in the second one backwards.
     """
-    import open3d as o3d  # takes seconds to load
-
-    corner, right, down = (
-        np.array([getattr(panel, name) for panel in panels])
-        for name in ("corner_m", "right_m", "down_m")
-    )
+    corner = np.array([panel.corner_m for panel in panels])
+    right = np.array([panel.right_m for panel in panels])
+    down = np.array([panel.down_m for panel in panels])
     vertices = np.stack([corner, corner + right, corner + right + down, corner + down], axis=1)
     triangles = 4 * np.arange(len(panels))[:, None, None] + np.array([[0, 1, 3], [2, 3, 1]])
     scene = o3d.t.geometry.RaycastingScene()
@@ -124,49 +111,27 @@ def scene_of(panels: list[Panel]) -> "RaycastingScene":
     return scene
 
 
-_CELL_M = 0.08
-_LAMP_SAMPLES = 4
-_LAMP_SIZE_M = 0.12
-_LAMP_BRIGHTNESS = 1.75
-_SKY_SAMPLES = 12
-_SKY_REACH_M = 0.8
-_SKY_BRIGHTNESS = 0.55
-_CLEARANCE_M = 0.004
-
-
-@dataclass(frozen=True)
-class _Surface:
-    """Points just before a surface, (N, 3) world, and where their light may be kept away."""
-
-    points_m: FloatArray
-    normals: FloatArray
-    scene: "RaycastingScene"
-
-    def sees(self, directions: FloatArray, reach: float) -> NDArray[np.bool_]:
-        """Return (N,) whether nothing stands within `reach` times the (N, 3) directions."""
-        import open3d as o3d
-
-        rays = np.concatenate([self.points_m, directions], axis=1).astype(np.float32)
-        hidden = self.scene.test_occlusions(o3d.core.Tensor(rays), tnear=0.0, tfar=reach)
-        return np.asarray(~hidden.numpy(), np.bool_)
-
-
-def light(panels: list[Panel], lamps_m: FloatArray, rng: Rng) -> list[Panel]:
-    """Return the panels as lit by lamps with soft shadows, darker in the corners.
-
-    Args:
-        panels: the surfaces, which also stand in each other's light.
-        lamps_m: (L, 3) positions, world.
-        rng: places the samples on the lamps and in the sky.
-    """
+def light(panels: list[Panel], lamps_m: FloatArray, rng: Generator) -> list[Panel]:
+    """Return the panels as lit by (L, 3) lamps, world, with soft shadows, darker in the corners."""
     grids = [_grid(panel) for panel in panels]
     counts = [grid.shape[0] * grid.shape[1] for grid in grids]
-    normals = np.repeat([panel.normal for panel in panels], counts, axis=0)
+    across = [np.cross(panel.down_m, panel.right_m) for panel in panels]
+    normals = np.repeat([each / np.linalg.norm(each) for each in across], counts, axis=0)
     points_m = np.concatenate([grid.reshape(-1, 3) for grid in grids]) + _CLEARANCE_M * normals
-    surface = _Surface(points_m, normals, scene_of(panels))
-    brightness = _from_sky(surface, rng)
+    scene = scene_of(panels)
+    brightness = np.zeros(len(points_m))
+    for _ in range(_SKY_SAMPLES):
+        # A unit vector plus the normal points anywhere above the surface, as often as its cosine.
+        above = _unit(_unit(rng.standard_normal(points_m.shape)) + normals)
+        brightness += _is_free(scene, points_m, above, _SKY_REACH_M)
+    brightness *= _SKY_BRIGHTNESS / _SKY_SAMPLES
     for lamp_m in np.repeat(lamps_m, _LAMP_SAMPLES, axis=0):
-        brightness += _from_lamp(surface, lamp_m + rng.normal(0.0, _LAMP_SIZE_M, 3))
+        towards = lamp_m + rng.normal(0.0, _LAMP_SIZE_M, 3) - points_m
+        distance_m = np.linalg.norm(towards, axis=1)
+        cosine = np.maximum((towards * normals).sum(axis=1) / distance_m, 0.0)
+        # The light does not grow without bound near the lamp.
+        strength = _LAMP_BRIGHTNESS / _LAMP_SAMPLES / (1.0 + distance_m**2)
+        brightness += _is_free(scene, points_m, towards, 1.0) * cosine * strength
     maps = np.split(brightness, np.cumsum(counts)[:-1])
     return [
         replace(panel, texture=_shaded(panel.texture, light_map.reshape(grid.shape[:2])))
@@ -185,26 +150,17 @@ def _grid(panel: Panel) -> FloatArray:
     return np.asarray(panel.corner_m + s * panel.right_m + t * panel.down_m)
 
 
-def _from_lamp(surface: _Surface, lamp_m: FloatArray) -> FloatArray:
-    """Return (N,) light from one point of a lamp; it does not grow without bound near the lamp."""
-    towards = lamp_m - surface.points_m
-    distance_m = np.linalg.norm(towards, axis=1)
-    cosine = np.maximum((towards * surface.normals).sum(axis=1) / distance_m, 0.0)
-    strength = _LAMP_BRIGHTNESS / _LAMP_SAMPLES / (1.0 + distance_m**2)
-    return np.asarray(surface.sees(towards, 1.0) * cosine * strength)
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _from_sky(surface: _Surface, rng: Rng) -> FloatArray:
-    """Return (N,) light from everywhere: less where few directions are free (ambient occlusion)."""
-    free = np.zeros(len(surface.points_m))
-    for _ in range(_SKY_SAMPLES):
-        sphere = rng.standard_normal(surface.points_m.shape)
-        sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-        # A unit vector plus the normal points anywhere above the surface, as often as its cosine.
-        above = sphere + surface.normals
-        above /= np.linalg.norm(above, axis=1, keepdims=True)
-        free += surface.sees(above, _SKY_REACH_M)
-    return _SKY_BRIGHTNESS / _SKY_SAMPLES * free
+def _is_free(
+    scene: o3d.t.geometry.RaycastingScene, points_m: FloatArray, ways: FloatArray, reach: float
+) -> NDArray[np.bool_]:
+    """Return (N,) whether nothing stands within `reach` times the (N, 3) ways from the points."""
+    rays = np.concatenate([points_m, ways], axis=1).astype(np.float32)
+    hidden = scene.test_occlusions(o3d.core.Tensor(rays), tnear=0.0, tfar=reach)
+    return np.asarray(~hidden.numpy(), np.bool_)
 
 
 def _shaded(texture: Image, light_map: FloatArray) -> Image:

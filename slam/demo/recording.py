@@ -2,36 +2,34 @@
 """The demo sequence: a made-up room, driven round twice, as a TUM RGB-D folder with exact truth."""
 
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
-from placerec.files import Progress
 from slam.datasets.cameras import CAMERA_FILE, write_camera
-from slam.demo.drive import LAP_S, drive
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.room import Room, build_room, render
 from slam.evaluation.trajectory import write_tum
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
-_DEMO_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
-"""The benchmark's default pinhole camera, without distortion."""
+_DEMO_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)  # the benchmark's default pinhole
 
+LAP_S = 12.0
 FRAMES_PER_S = 15.0
 """Half a Kinect's rate: half the work, for a camera that moves 3 cm and 2 degrees a frame."""
 _START_S = 100.0  # three digits throughout, so that file names sort in the order of time
-_JPEG_QUALITY = 92
-_WORKERS = 4
 
 
 def render_sequence(
     folder: Path,
     seconds: float = 2.0 * LAP_S + 0.5,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
     camera: Camera = _DEMO_CAMERA,
 ) -> None:
     """Write a complete TUM RGB-D folder, camera.toml included, or nothing at all.
@@ -44,16 +42,16 @@ def render_sequence(
         camera: what to render with.
 
     Raises:
-        SlamError: the folder is not empty or cannot be written.
+        LoopcloseError: the folder is not empty or cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SlamError(f"there is something already; choose another folder or remove it: {folder}")
+    count = max(1, round(seconds * FRAMES_PER_S))
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as scratch:
             unfinished = Path(scratch) / folder.name
-            times_s = np.arange(max(1, round(seconds * FRAMES_PER_S))) / FRAMES_PER_S
-            _write_sequence(unfinished, times_s, seed, progress, camera)
+            _write_sequence(unfinished, count, seed, progress or (lambda *_: None), camera)
             unfinished.replace(folder)
     except OSError as error:
         raise SlamError(
@@ -62,37 +60,74 @@ def render_sequence(
 
 
 def _write_sequence(
-    folder: Path, times_s: FloatArray, seed: int, progress: Progress | None, camera: Camera
+    folder: Path, count: int, seed: int, progress: Callable[[int, int], None], camera: Camera
 ) -> None:
-    for name in ("rgb", "depth"):
-        (folder / name).mkdir(parents=True)
+    times_s = np.arange(count) / FRAMES_PER_S
     truth = Trajectory(times_s + _START_S, drive(times_s, seed))
-    write_frame = partial(_write_frame, folder, build_room(seed), camera, seed)
-    pool = ThreadPoolExecutor(_WORKERS)
-    try:
-        jobs = pool.map(write_frame, range(len(truth)), truth.timestamps_s, truth.T_world_cam)
-        for done, _ in enumerate(jobs, start=1):
-            if progress:
-                progress(done, len(truth))
-    finally:
-        pool.shutdown(cancel_futures=True)
+    stamps = [f"{time_s:.6f}" for time_s in truth.timestamps_s]
     for name, kind in (("rgb", "jpg"), ("depth", "png")):
-        lines = [f"{time_s:.6f} {name}/{time_s:.6f}.{kind}\n" for time_s in truth.timestamps_s]
+        (folder / name).mkdir(parents=True)
+        lines = [f"{stamp} {name}/{stamp}.{kind}\n" for stamp in stamps]
         (folder / f"{name}.txt").write_text("# timestamp filename\n" + "".join(lines))
     write_tum(folder / "groundtruth.txt", truth)
     write_camera(folder / CAMERA_FILE, camera)
-
-
-def _write_frame(
-    folder: Path, room: Room, camera: Camera, seed: int, index: int, time_s: float, T: FloatArray
-) -> None:
+    photograph = partial(_photograph, build_room(seed), camera)
     # Noise belongs to the frame, not to the order in which threads happen to render.
-    rng = np.random.default_rng([seed, 0xF0, index])
-    perfect = render(room, camera, T, time_s)
+    rngs = [np.random.default_rng([seed, 0xF0, index]) for index in range(count)]
+    pool = ThreadPoolExecutor(4)
+    try:
+        for index, (jpeg, png) in enumerate(pool.map(photograph, truth.T_world_cam, rngs)):
+            (folder / f"rgb/{stamps[index]}.jpg").write_bytes(jpeg)
+            (folder / f"depth/{stamps[index]}.png").write_bytes(png)
+            progress(index + 1, count)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _photograph(
+    room: Room, camera: Camera, T_world_cam: FloatArray, rng: Generator
+) -> tuple[bytes, bytes]:
+    """Return the colours as JPEG and the depth as 16-bit PNG, both with a Kinect's noise."""
+    perfect = render(room, camera, T_world_cam)
     rgb = add_colour_noise(perfect.rgb, rng)
     depth_m = add_kinect_noise(perfect.depth_m, camera, rng)
     depth = np.rint(depth_m * camera.depth_scale).astype(np.uint16)
-    jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+    jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
     png = cv2.imencode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-    (folder / f"rgb/{time_s:.6f}.jpg").write_bytes(jpeg.tobytes())
-    (folder / f"depth/{time_s:.6f}.png").write_bytes(png.tobytes())
+    return jpeg.tobytes(), png.tobytes()
+
+
+def drive(times_s: FloatArray, seed: int) -> FloatArray:
+    """Return (N, 4, 4) T_world_cam of a hand-held camera walking ellipses about the origin.
+
+    It walks some 0.4 m/s and turns some 30 degrees a second. The second lap runs 8 cm further out
+    and 3 cm higher, and looks 6 degrees further ahead.
+    """
+    laps = times_s / LAP_S
+    around = 2.0 * np.pi * laps
+    ramp = np.clip((laps - 0.85) / 0.3, 0.0, 1.0)
+    second = ramp * ramp * (3.0 - 2.0 * ramp)
+    rng = np.random.default_rng([seed, 0xD21])
+    hertz = rng.uniform(0.4, 1.8, (6, 4, 1))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, 4, 1))
+    shake = 0.0035 * (np.sin(2.0 * np.pi * hertz * times_s + phase) / hertz).sum(axis=1)
+    # The view is turned by 1.1 rad from straight outwards to the direction of travel.
+    yaw = around + 1.1 + 0.1 * second + 0.08 * np.sin(2.3 * around)
+    pitch = -0.12 + 0.06 * np.sin(1.3 * around)
+    x_m, y_m = (0.8 + 0.08 * second) * np.cos(around), (0.6 + 0.08 * second) * np.sin(around)
+    z_m = 1.3 + 0.03 * second + 0.05 * np.sin(1.7 * around)
+    T_world_cam = np.tile(np.eye(4), (len(times_s), 1, 1))
+    T_world_cam[:, :3, :3] = _looking(yaw + shake[0], pitch + shake[1], shake[2])
+    T_world_cam[:, :3, 3] = np.stack([x_m, y_m, z_m], axis=-1) + 0.5 * shake[3:].T
+    return T_world_cam
+
+
+def _looking(yaw: FloatArray, pitch: FloatArray, roll: FloatArray) -> FloatArray:
+    """Return (N, 3, 3) R_world_cam: z forward, y down, world z up; angles in rad."""
+    forward = np.stack(
+        [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=-1
+    )
+    level = np.stack([np.sin(yaw), -np.cos(yaw), np.zeros_like(yaw)], axis=-1)
+    below = np.cross(forward, level)
+    c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
+    return np.stack([c * level + s * below, c * below - s * level, forward], axis=-1)

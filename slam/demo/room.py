@@ -3,25 +3,20 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+import open3d as o3d
 from numpy.typing import NDArray
 
 from slam.demo.layout import furnished_room
 from slam.demo.panels import Panel, light, scene_of
-from slam.demo.textures import TEXELS_PER_M, Image
+from slam.demo.textures import TEXELS_PER_M, FloatImage, Image
 from slam.types import Camera, FloatArray, Frame
 
 ROOM_SIZE_M = (5.0, 4.0, 2.6)
 LAMPS_M = np.array([[-0.9, 0.3, 2.2], [0.9, -0.3, 2.2], [0.0, 0.0, 1.5]])
 _LEVELS = 4
-
-if TYPE_CHECKING:
-    from open3d.t.geometry import RaycastingScene
-
-FloatImage = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +26,12 @@ class Room:
     Attributes:
         scene: the geometry; rectangle i is triangles 2 i and 2 i + 1.
         texels: (N,) uint32, all textures at all levels of detail end to end, bytes R, G, B, 0.
-        starts, widths, heights: (P * levels,) int32, where each of them lies in `texels`.
+        levels: (P * levels of detail, 3) int32, where each begins in `texels`, its width, height.
     """
 
-    scene: "RaycastingScene"
+    scene: o3d.t.geometry.RaycastingScene
     texels: NDArray[np.uint32]
-    starts: NDArray[np.int32]
-    widths: NDArray[np.int32]
-    heights: NDArray[np.int32]
+    levels: NDArray[np.int32]
 
 
 def build_room(seed: int) -> Room:
@@ -53,14 +46,10 @@ def build_room(seed: int) -> Room:
 def assemble(panels: list[Panel]) -> Room:
     """Return the panels as a room to be rendered; their textures are taken as lit."""
     images = [level for panel in panels for level in _levels_of_detail(panel.texture)]
-    sizes = np.array([image.size for image in images])
-    return Room(
-        scene=scene_of(panels),
-        texels=np.concatenate([image.ravel() for image in images]),
-        starts=(np.cumsum(sizes) - sizes).astype(np.int32),
-        widths=np.array([image.shape[1] for image in images], np.int32),
-        heights=np.array([image.shape[0] for image in images], np.int32),
-    )
+    heights, widths = np.transpose([image.shape for image in images])
+    starts = np.cumsum(heights * widths) - heights * widths
+    levels = np.stack([starts, widths, heights], axis=1).astype(np.int32)
+    return Room(scene_of(panels), np.concatenate([image.ravel() for image in images]), levels)
 
 
 def _levels_of_detail(texture: Image) -> list[NDArray[np.uint32]]:
@@ -77,28 +66,19 @@ def _levels_of_detail(texture: Image) -> list[NDArray[np.uint32]]:
 def render(room: Room, camera: Camera, T_world_cam: FloatArray, timestamp_s: float = 0.0) -> Frame:
     """Return what a perfect camera sees: no noise, depth exact to float32, 0 outside the room.
 
-    Args:
-        room: what to look at.
-        camera: with or without lens distortion.
-        T_world_cam: (4, 4), camera axes x right, y down, z forward.
-        timestamp_s: for the frame.
+    T_world_cam is (4, 4), camera axes x right, y down, z forward; a lens distortion is rendered.
     """
-    import open3d as o3d
-
-    rays_cam = _ray_directions(camera)
-    R_world_cam = T_world_cam[:3, :3].astype(np.float32)
+    rays_cam = _rays_cam(camera)
     rays = np.empty((camera.height, camera.width, 6), np.float32)
     rays[..., :3] = T_world_cam[:3, 3]
-    rays[..., 3:] = rays_cam @ R_world_cam.T
-    hits = room.scene.cast_rays(o3d.core.Tensor(rays))
-    triangles = hits["primitive_ids"].numpy()
-    missed = triangles == room.scene.INVALID_ID
-    triangles = np.where(missed, 0, triangles).astype(np.int32)
-    depth_m = np.where(missed, 0.0, hits["t_hit"].numpy())  # rays have z = 1: length is depth
-    uv = hits["primitive_uvs"].numpy()
+    rays[..., 3:] = rays_cam @ T_world_cam[:3, :3].astype(np.float32).T
+    hits = {name: hit.numpy() for name, hit in room.scene.cast_rays(o3d.core.Tensor(rays)).items()}
+    missed = hits["primitive_ids"] == o3d.t.geometry.RaycastingScene.INVALID_ID
+    triangles = np.where(missed, 0, hits["primitive_ids"]).astype(np.int32)
+    depth_m = np.where(missed, 0.0, hits["t_hit"])  # rays have z = 1: length is depth
+    uv = hits["primitive_uvs"]
     uv = np.where((triangles % 2 == 1)[..., None], 1.0 - uv, uv)
-    normals = hits["primitive_normals"].numpy()
-    facing = np.abs(np.einsum("hwc,hwc->hw", normals, rays[..., 3:]))
+    facing = np.abs(np.einsum("hwc,hwc->hw", hits["primitive_normals"], rays[..., 3:]))
     facing /= np.linalg.norm(rays_cam, axis=2)
     # Seen at a slant a pixel covers more texels along than across: take the geometric mean.
     texels_per_px = TEXELS_PER_M / camera.fx * depth_m / np.sqrt(np.maximum(facing, 0.05))
@@ -108,13 +88,12 @@ def render(room: Room, camera: Camera, T_world_cam: FloatArray, timestamp_s: flo
 
 
 @lru_cache(maxsize=4)
-def _ray_directions(camera: Camera) -> FloatImage:
+def _rays_cam(camera: Camera) -> FloatImage:
     """Return (H, W, 3) float32 viewing rays of the pixels, camera frame, z = 1; read-only."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
     xy = cv2.undistortPoints(pixels, camera.matrix, np.array(camera.distortion))
-    xy = xy.reshape(camera.height, camera.width, 2)
-    rays = np.dstack([xy, np.ones(xy.shape[:2])]).astype(np.float32)
+    rays = np.dstack([xy.reshape(*u.shape, 2), np.ones(u.shape)]).astype(np.float32)
     rays.setflags(write=False)
     return rays
 
@@ -125,21 +104,18 @@ def _colours(
     """Return (H, W, 3) colours, bilinear, from textures whose texels are about a pixel large."""
     level = np.rint(np.log2(np.maximum(texels_per_px, 1.0))).astype(np.int32)
     entry = panels * _LEVELS + np.minimum(level, _LEVELS - 1)
-    width, height = room.widths[entry], room.heights[entry]
+    start, width, height = np.moveaxis(room.levels[entry], -1, 0)
     x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1).astype(np.float32)
     y = np.clip(uv[..., 1] * height - 0.5, 0, height - 1).astype(np.float32)
     left, top = x.astype(np.int32), y.astype(np.int32)
     to_right = (left < width - 1).astype(np.int32)
     to_below = (top < height - 1) * width
-    at = room.starts[entry] + top * width + left
+    at = start + top * width + left
+    corners = np.stack([at, at + to_right, at + to_below, at + to_below + to_right])
+    a, b, c, d = room.texels[corners].view(np.uint8).reshape(*corners.shape, 4)
     along, down = (x - left)[..., None], (y - top)[..., None]
-    upper = _mix(_texels(room, at), _texels(room, at + to_right), along)
-    lower = _mix(_texels(room, at + to_below), _texels(room, at + to_below + to_right), along)
-    return (_mix(upper, lower, down)[..., :3] + 0.5).astype(np.uint8)
-
-
-def _texels(room: Room, index: NDArray[np.int32]) -> Image:
-    return room.texels[index].view(np.uint8).reshape(*index.shape, 4)
+    mixed = _mix(_mix(a, b, along), _mix(c, d, along), down)
+    return (mixed[..., :3] + 0.5).astype(np.uint8)
 
 
 def _mix(a: Image | FloatImage, b: Image | FloatImage, share_of_b: FloatImage) -> FloatImage:

@@ -10,12 +10,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
+FloatImage = NDArray[np.float32]
 Colour = tuple[float, float, float]
-Rng = np.random.Generator
-Material = Callable[[Rng, float, float], Image]
+Material = Callable[[Generator, float, float], Image]
 
 TEXELS_PER_M = 320
 
@@ -31,8 +32,8 @@ def to_image(values: NDArray[Any]) -> Image:
 
 
 def noise(
-    rng: Rng, size: tuple[int, int], cell: tuple[int, int], octaves: int = 3
-) -> NDArray[np.float32]:
+    rng: Generator, size: tuple[int, int], cell: tuple[int, int], octaves: int = 3
+) -> FloatImage:
     """Return (H, W) float32 smooth random values of about zero mean and unit spread.
 
     `size` and `cell` are (width, height) in texels; each octave halves the cell and the amplitude.
@@ -49,21 +50,28 @@ def noise(
     return total
 
 
-def tint(values: NDArray[np.float32], colour: Colour, contrast: float) -> NDArray[np.float32]:
+def _tint(values: FloatImage, colour: Colour, contrast: float) -> FloatImage:
     """Return (H, W, 3) float32: the colour, brighter and darker by `contrast` where values say."""
     return np.asarray(colour, np.float32) * (1.0 + contrast * values[..., None])
 
 
-def plaster(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
+def colour_of(rng: Generator, low: float, high: float, chroma: float = 0.4) -> Colour:
+    """Return a random colour of a brightness between low and high; chroma 0 is grey."""
+    hue = rng.uniform(-chroma, chroma, 3)
+    red, green, blue = np.clip(rng.uniform(low, high) * (1.0 + hue - hue.mean()), 8.0, 248.0)
+    return float(red), float(green), float(blue)
+
+
+def plaster(rng: Generator, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return painted woodchip: blotches a hand wide and raised chips a centimetre wide."""
     size = size_px(width_m, height_m)
-    blotches = tint(noise(rng, size, (200, 200), 4), colour, 0.06)
+    blotches = _tint(noise(rng, size, (200, 200), 4), colour, 0.06)
     chips = noise(rng, size, (9, 9), 2)
     relief = chips - np.roll(chips, (2, 2), axis=(0, 1))  # lit from the upper left
     return to_image(blotches * (1.0 + 0.07 * relief[..., None] * (np.abs(chips[..., None]) > 0.7)))
 
 
-def bricks(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
+def bricks(rng: Generator, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return a wall of bricks 24 x 7 cm, each with its own shade, in pale mortar."""
     width, height = size_px(width_m, height_m)
     y_m, x_m = np.mgrid[:height, :width].astype(np.float32) / TEXELS_PER_M
@@ -81,7 +89,7 @@ def bricks(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
 
 
 def planks(
-    rng: Rng,
+    rng: Generator,
     width_m: float,
     height_m: float,
     colour: Colour,
@@ -101,44 +109,40 @@ def planks(
     return to_image(np.where(gap[..., None], 0.35 * image, image))
 
 
-def panelling(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
+def panelling(rng: Generator, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return upright boards."""
     lying = planks(rng, height_m, width_m, colour, (1.7, 0.14))
     return np.ascontiguousarray(lying.transpose(1, 0, 2))
 
 
-def wood(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
+def wood(rng: Generator, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return one piece of veneer, grain along the width."""
     size = size_px(width_m, height_m)
     rings = np.sin(2.5 * noise(rng, size, (260, 40), 2)) + 0.6 * noise(rng, size, (80, 4), 2)
-    return to_image(tint(rings.astype(np.float32), colour, 0.11))
+    return to_image(_tint(rings.astype(np.float32), colour, 0.11))
 
 
-def wallpaper(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
+def wallpaper(rng: Generator, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return leaves and blossoms strewn over a plain ground, no two alike."""
     width, height = size_px(width_m, height_m)
-    image = tint(noise(rng, (width, height), (160, 160), 4), colour, 0.05)
+    image = _tint(noise(rng, (width, height), (160, 160), 4), colour, 0.05)
     for _ in range(round(90 * width_m * height_m)):
         centre = (int(rng.integers(width)), int(rng.integers(height)))
         ink = np.asarray(colour) * rng.uniform(0.45, 0.8) + rng.normal(0.0, 12.0, 3)
         length, turn = int(rng.integers(5, 16)), float(rng.uniform(0, 360))
         for petal in range(int(rng.choice([1, 1, 2, 5]))):
             angle = turn + 72 * petal
-            tip = np.round(np.asarray(centre) + length * _unit(angle)).astype(int).tolist()
+            direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+            tip = np.round(centre + length * direction).astype(int).tolist()
             axes = (length, max(2, length // 3))
             cv2.ellipse(image, tip, axes, angle, 0, 360, ink.tolist(), -1, cv2.LINE_AA)
     return to_image(image)
 
 
-def cloth(rng: Rng, width_m: float, height_m: float, colour: Colour) -> Image:
+def cloth(rng: Generator, width_m: float, height_m: float, colour: Colour) -> Image:
     """Return woven cloth with uneven stripes across and along."""
     width, height = size_px(width_m, height_m)
     weave = noise(rng, (width, height), (3, 3), 1)
     along = rng.normal(0.0, 1.0, height // 14 + 1).repeat(14)[:height, None]
     across = rng.normal(0.0, 1.0, width // 22 + 1).repeat(22)[None, :width]
-    return to_image(tint((0.14 * (along + across) + 0.07 * weave).astype(np.float32), colour, 1.0))
-
-
-def _unit(angle_deg: float) -> NDArray[np.float64]:
-    angle_rad = np.radians(angle_deg)
-    return np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    return to_image(_tint((0.14 * (along + across) + 0.07 * weave).astype(np.float32), colour, 1.0))

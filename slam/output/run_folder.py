@@ -56,13 +56,15 @@ def write_run(
 
     Files that an earlier run left there and this one does not make are removed.
 
-    The folder is as made by `make_run_folder`, the config the one that it ran with. Drift and truth
+    The folder is made where there is none; the config is the one that it ran with. Drift and truth
     (the true camera poses) are None where there are none. The title is the report's; the command,
     what was typed but for the settings, heads settings.toml and the summary.
 
     Raises:
-        LoopcloseError: a file cannot be written; those before it are complete.
+        LoopcloseError: the folder is a recording's, or a file cannot be written; those before it
+            are complete.
     """
+    make_run_folder(folder)
     if (folder / "summary.json").exists():
         for name in ("groundtruth.txt", "map.ply"):  # this run may not make them
             (folder / name).unlink(missing_ok=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.training_scenes import recorded
-from benchmarks.training_scenes.poses import distance
+from benchmarks.training_scenes.handheld import distance
 from benchmarks.training_scenes.recorded import APART, RADIUS, RecordedPlace
 from slam.config import InputConfig
 from slam.datasets import open_sequence

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from benchmarks.training_scenes import rendered
-from benchmarks.training_scenes.folder import write_folder
+from benchmarks.training_scenes.handheld import write_folder
 from benchmarks.training_scenes.rendered import papered
 from placerec.datasets import open_dataset
 from slam.demo.panels import Panel

@@ -6,8 +6,8 @@ import torch
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import find_pretrained
-from placerec.recognizers.feature_maps import Layer, facts_of, find_fitted_maps, find_maps
-from placerec.recognizers.fitted_file import Fitted
+from placerec.recognizers.feature_maps import FittedToMaps, Layer, find_maps
+from placerec.recognizers.fitted_file import Fitted, write_fitted
 
 MOBILE = Layer(TRUNKS["mobilenet_v2"], "block6", (96, 64))
 SQUEEZE = Layer(TRUNKS["squeezenet"], "fire2", (96, 64))
@@ -84,11 +84,19 @@ def test_fingerprints_tell_layers_sizes_and_weights_apart(weights, tmp_path, mon
     assert find_maps([MOBILE]).fingerprint not in seen
 
 
-def test_what_was_fitted_needs_the_same_layer_and_weights(weights):
-    facts = facts_of(find_maps([MOBILE]))
-    assert find_fitted_maps("mine", Fitted({}, facts), [SQUEEZE, MOBILE]).title == MOBILE.title
+def test_what_was_fitted_needs_the_same_layer_and_weights(weights, tmp_path):
+    class Mine(FittedToMaps):
+        name, layers = "mine", (SQUEEZE, MOBILE)
+
+    def read(facts):
+        write_fitted(tmp_path / "w.safetensors", "mine", Fitted({}, facts))
+        return Mine(tmp_path / "w.safetensors")
+
+    facts = find_maps([MOBILE]).facts
+    assert read(facts)._maps.title == MOBILE.title
     for wrong in ({}, facts | {"weights": "others"}, facts | {"layer": "another"}):
         with pytest.raises(RecognizerError, match="placerec fit mine FOLDER"):
-            find_fitted_maps("mine", Fitted({}, wrong), [SQUEEZE, MOBILE])
+            read(wrong)
+    Mine.layers = (SQUEEZE,)
     with pytest.raises(RecognizerError, match="placerec fit mine FOLDER"):
-        find_fitted_maps("mine", Fitted({}, facts), [SQUEEZE])
+        read(facts)

@@ -11,9 +11,8 @@ from placerec.conformance import check
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
 from placerec.networks.preprocessing import TORCHVISION_INPUT
-from placerec.recognizers import netvlad
 from placerec.recognizers.fitted_file import read_fitted, shipped, write_fitted
-from placerec.recognizers.netvlad import PUBLISHED, NetVlad, whitening
+from placerec.recognizers.netvlad import NetVlad, whitening
 
 SIZE_PX = (64, 48)
 
@@ -41,7 +40,8 @@ def state():
 @pytest.fixture
 def on_this_machine(machine, monkeypatch):
     """Return what puts a checkpoint on a machine that looks at small images."""
-    monkeypatch.setattr(netvlad, "PUBLISHED", replace(PUBLISHED, size_px=SIZE_PX))
+    published, stand_in = NetVlad.layers
+    monkeypatch.setattr(NetVlad, "layers", (replace(published, size_px=SIZE_PX), stand_in))
     machine.mkdir(parents=True)
     return lambda content: torch.save(content, machine / "netvlad_pitts30k.pth.tar")
 

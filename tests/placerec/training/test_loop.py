@@ -356,13 +356,6 @@ def test_too_few_places_for_a_set_are_one_line(tmp_path):
         _train(tmp_path / "run", Boards(places=4))
 
 
-def test_images_without_labels_are_one_line(tmp_path):
-    images = Boards()
-    images.places = None
-    with pytest.raises(RecognizerError, match="without place labels"):
-        _train(tmp_path / "run", images)
-
-
 def test_checkpoint_of_another_training_is_refused(tmp_path):
     _train(tmp_path / "run", max_steps=2)
     with pytest.raises(RecognizerError, match=r"its alpha is 0\.5, not 0\.2"):

@@ -4,6 +4,7 @@
 import math
 import shutil
 import signal
+import subprocess
 import sys
 from collections import Counter
 
@@ -365,3 +366,8 @@ def test_folder_of_another_training_or_table_is_refused(tower, tmp_path, capsys)
     (tmp_path / "sheets/log.csv").write_text("name,price\nbolt,3\n")
     assert _train(tower, tmp_path / "sheets") == 2
     assert capsys.readouterr().err.startswith("placerec: the file is no log of a training")
+
+
+def test_flags_need_no_torch():
+    code = "import sys, placerec.commands.train; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -15,8 +15,8 @@ import pytest
 from placerec.errors import LoopcloseError
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
-from slam.demo.drive import drive
-from slam.demo.room import Room, build_room, render
+from slam.demo import build_room, drive, render
+from slam.demo.room import Room
 from slam.geometry.se3 import to_quaternion
 from slam.types import Camera, FloatArray
 

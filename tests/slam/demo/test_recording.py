@@ -5,13 +5,14 @@ import pytest
 
 from slam.config import FeaturesConfig, InputConfig, VerificationConfig
 from slam.datasets import open_sequence
-from slam.demo import render_sequence
+from slam.demo.recording import FRAMES_PER_S, LAP_S, drive, render_sequence
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.types import Camera, RelativePose, SlamError
 
 SMALL = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
+FRAMES_PER_LAP = round(LAP_S * FRAMES_PER_S)
 
 
 def render_small(folder, seed=0, progress=None):
@@ -121,3 +122,38 @@ def test_depth_is_stored_as_the_benchmark_does(rendered):
     depth = cv2.imread(str(next((rendered / "depth").iterdir())), cv2.IMREAD_UNCHANGED)
     assert depth.dtype == np.uint16
     assert 0.5 * 5000 < np.median(depth[depth > 0]) < 4.0 * 5000
+
+
+def motions(T_world_cam, frames):
+    return se3.inverse(T_world_cam[:-frames]) @ T_world_cam[frames:]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_camera_that_can_be_tracked_and_comes_back(seed):
+    T_world_cam = drive(np.arange(2 * FRAMES_PER_LAP) / FRAMES_PER_S, seed)
+    step = motions(T_world_cam, 1)
+    assert se3.translation_norm(step).max() < 0.035
+    assert np.degrees(se3.rotation_angle(step)).max() < 3.0
+    lap = motions(T_world_cam, FRAMES_PER_LAP)
+    apart_m, apart_deg = se3.translation_norm(lap), np.degrees(se3.rotation_angle(lap))
+    assert 0.05 < np.median(apart_m) < 0.15 and apart_m.max() < 0.2
+    assert 2.0 < np.median(apart_deg) < 15.0
+
+
+def test_a_camera_held_upright_inside_the_room():
+    T_world_cam = drive(np.arange(2 * FRAMES_PER_LAP) / FRAMES_PER_S, 0)
+    R = T_world_cam[:, :3, :3]
+    assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3))
+    assert np.allclose(np.linalg.det(R), 1.0)
+    assert (R[:, 2, 1] < -0.9).all()  # image down is world down
+    assert (np.abs(T_world_cam[:, :2, 3]) < [1.0, 0.8]).all()
+    assert (np.abs(T_world_cam[:, 2, 3] - 1.3) < 0.15).all()
+
+
+def test_a_longer_drive_begins_like_a_shorter_one():
+    assert np.array_equal(
+        drive(np.arange(10) / FRAMES_PER_S, 1), drive(np.arange(90) / FRAMES_PER_S, 1)[:10]
+    )
+    assert not np.allclose(
+        drive(np.arange(10) / FRAMES_PER_S, 1), drive(np.arange(10) / FRAMES_PER_S, 2)
+    )

@@ -3,8 +3,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.demo.drive import drive
 from slam.demo.panels import Panel
+from slam.demo.recording import drive
 from slam.demo.room import ROOM_SIZE_M, assemble, build_room, render
 from slam.geometry import se3
 from slam.geometry.features import back_project, undistort

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.training_scenes.desk_scene import TABLE_HEIGHT_M, cluttered_table, table_size
+from benchmarks.training_scenes.rendered import TABLE_HEIGHT_M, cluttered_table, table_size
 from slam.demo.room import assemble, render
 from slam.types import Camera
 
