@@ -41,10 +41,6 @@ def read_clips(folder: Path, part: str = "test") -> PlaceDataset:
     are different ones. All other pairs of one floor are not compared: clips cross each other and
     come back, so nobody knows. A label is PLACE_FRAMES consecutive frames; what is left at the end
     of a clip joins the last.
-
-    Raises:
-        LoopcloseError: the part is unknown or has no images, the table cannot be used, or most
-            images are broken.
     """
     if part not in PARTS:
         raise RecognizerError(f"there is no part {part!r}; there are: {', '.join(PARTS)}")

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which format a folder of images is in."""
+"""Which format a folder of images is in.
+
+Every reader of a format raises LoopcloseError where a list, a table or the truth cannot be used, or
+most images are broken.
+"""
 
 import re
 from collections.abc import Callable

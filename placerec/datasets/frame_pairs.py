@@ -19,9 +19,6 @@ def read_frame_pairs(folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES) ->
 
     Which frames match is read from ground_truth.csv (query,refs with refs as in 0;1;2, both
     counted from 0); without that file, frames match whose numbers differ by the tolerance or less.
-
-    Raises:
-        LoopcloseError: a folder is missing, the table cannot be used or most images are broken.
     """
     queries, references = (_images(folder / drive) for drive in ("query", "ref"))
     table = folder / "ground_truth.csv"
@@ -35,11 +32,7 @@ def read_frame_pairs(folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES) ->
 def read_drives(
     query_folder: Path, reference_folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES
 ) -> PlaceDataset:
-    """Read two folders of images, taken at the same pace; numbers up to the tolerance apart match.
-
-    Raises:
-        RecognizerError: there is no image, or most are broken.
-    """
+    """Read two folders of images, taken at the same pace; numbers within the tolerance match."""
     queries, references = images_in(query_folder), images_in(reference_folder)
     for folder, images in ((query_folder, queries), (reference_folder, references)):
         if not images:
@@ -51,8 +44,7 @@ def read_drives(
 
 def _within(tolerance_frames: int, queries: int, references: int) -> NDArray[np.bool_]:
     steps = np.arange(queries)[:, None] - np.arange(references)
-    same_place: NDArray[np.bool_] = np.abs(steps) <= tolerance_frames
-    return same_place
+    return np.asarray(np.abs(steps) <= tolerance_frames)
 
 
 def _pair(

@@ -29,10 +29,6 @@ def read_oxford(folder: Path) -> PlaceDataset:
 
     The matrix (`truth`, images x images) is 1 where two images show the same place. Only its lower
     triangle is filled by the authors, so either of (i, j) and (j, i) counts.
-
-    Raises:
-        RecognizerError: a part is missing, the matrix does not fit the images, or most images are
-            broken.
     """
     file, images = find_ground_truth(folder), folder / "Images"
     if file is None or not images.is_dir():

@@ -36,9 +36,6 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
     Args:
         folder: of the recording.
         stride: every how many frames with truth one is used.
-
-    Raises:
-        LoopcloseError: a list cannot be used, no frame has a true pose, or most images are broken.
     """
     recording = read_recording(folder, stride)
     distance = pose_distance(recording.positions_m, recording.quaternions)
@@ -64,9 +61,6 @@ def read_tum_sessions(
     """Read two recordings of one room: the frames of one look for their place in the other.
 
     The true poses of both must be in one world, as are those of the benchmark's freiburg1.
-
-    Raises:
-        LoopcloseError: as for one recording.
     """
     sessions = [read_recording(folder, stride) for folder in (query_folder, reference_folder)]
     timestamps_s, paths, positions_m, quaternions = zip(*sessions, strict=True)
@@ -128,9 +122,7 @@ def pose_distance(positions_m: FloatArray, quaternions: FloatArray) -> FloatArra
     """
     metres = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
     half_cosines = np.minimum(np.abs(quaternions @ quaternions.T), 1.0)
-    radians = 2.0 * np.arccos(half_cosines)
-    distance: FloatArray = metres + radians
-    return distance
+    return np.asarray(metres + 2.0 * np.arccos(half_cosines))
 
 
 def _label(distance: FloatArray) -> NDArray[np.int64]:

@@ -4,7 +4,7 @@
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +16,8 @@ from slam.config import InputConfig, PositiveFloat, PositiveInt
 from slam.types import Camera, SlamError
 
 CAMERA_FILE = "camera.toml"
+UNITS_PER_M = 1000.0
+"""The depth scale of nearly every sensor but the TUM benchmark's."""
 
 # At which the error on fr1_xyz is smallest, of 13, 20, 26 and 30 ms.
 _KINECT_READOUT_S = 0.026
@@ -86,13 +88,16 @@ def read_camera(path: Path) -> Camera:
     Raises:
         SlamError: the file is missing, is not TOML, or a key is missing, unknown or out of range.
     """
+    return camera_of(_parsed(path, "TOML", tomllib.loads), path)
+
+
+def _parsed(file: Path, kind: str, parse: Callable[[str], Any]) -> Any:
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        return parse(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SlamError(f"cannot read the camera file: {error.strerror}: {path}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SlamError(f"the camera file is not valid TOML: {error}: {path}") from error
-    return camera_of(values, path)
+        raise SlamError(f"cannot read the camera file: {error.strerror}: {file}") from error
+    except ValueError as error:  # no text, or not of this kind
+        raise SlamError(f"the camera file is not valid {kind}: {error}: {file}") from error
 
 
 def camera_of(values: Mapping[str, object], path: Path) -> Camera:
@@ -110,9 +115,7 @@ def camera_of(values: Mapping[str, object], path: Path) -> Camera:
             f"camera keys cx, cy = {table.cx:g}, {table.cy:g} lie outside the image of"
             f" {table.width}x{table.height} pixels; they are the optical axis in pixels: {path}"
         )
-    k1, k2, p1, p2, *k3 = table.distortion
-    distortion = (k1, k2, p1, p2, k3[0] if k3 else 0.0)
-    return Camera(**table.model_dump(exclude={"distortion"}), distortion=distortion)
+    return Camera(**{**table.model_dump(), "distortion": (*table.distortion, 0.0)[:5]})
 
 
 def _describe(error: ValidationError) -> str:
@@ -131,15 +134,8 @@ def write_camera(path: Path, camera: Camera) -> None:
     Raises:
         LoopcloseError: the file cannot be written.
     """
-    values = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in asdict(camera).items()
-    }
-    write_atomically(path, "".join(f"{key} = {value!r}\n" for key, value in values.items()))
-
-
-UNITS_PER_M = 1000.0
-"""The depth scale of nearly every sensor but the TUM benchmark's."""
+    keys = asdict(camera).items()
+    write_atomically(path, "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys))
 
 
 def read_intrinsics(file: Path) -> Camera:
@@ -152,22 +148,15 @@ def read_intrinsics(file: Path) -> Camera:
     Raises:
         SlamError: the file cannot be read, or a value is missing or out of range.
     """
-    try:
-        values = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SlamError(f"cannot read the camera file: {error.strerror}: {file}") from error
-    except ValueError as error:
-        raise SlamError(f"the camera file is not valid JSON: {error}: {file}") from error
+    values = _parsed(file, "JSON", json.loads)
     if not isinstance(values, dict):
         raise SlamError(f"the camera file does not hold names and values: {file}")
-    pinhole = (
-        _of_matrix(values, file) if "intrinsic_matrix" in values else _of_realsense(values, file)
-    )
+    pinhole_of = _of_matrix if "intrinsic_matrix" in values else _of_realsense
     scale = values.get("depth_scale", UNITS_PER_M)
     if isinstance(scale, float) and 0.0 < scale < 1.0:
         scale = 1.0 / scale
     size = {key: values[key] for key in ("width", "height") if key in values}
-    return camera_of({**size, **pinhole, "depth_scale": scale}, file)
+    return camera_of({**size, **pinhole_of(values, file), "depth_scale": scale}, file)
 
 
 def _of_matrix(values: dict[str, Any], file: Path) -> dict[str, object]:

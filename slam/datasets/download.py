@@ -2,21 +2,227 @@
 """Short names of the TUM RGB-D benchmark's sequences, found on disk or fetched from its server."""
 
 import gzip
+import http.client
 import logging
 import os
+import re
 import shutil
 import tarfile
 import tempfile
+import time
+import urllib.error
+import urllib.request
 import zlib
+from collections.abc import Iterator
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 
 from placerec.files import Progress, cache_folder
-from slam.datasets.transfer import download
 from slam.types import SlamError
 
+_SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
+
+_SEQUENCES = {
+    "1": "360 desk desk2 floor plant room rpy teddy xyz",
+    "2": "360_hemisphere 360_kidnap coke desk desk_with_person dishes flowerbouquet"
+    " flowerbouquet_brownbackground large_no_loop large_with_loop metallic_sphere"
+    " metallic_sphere2 pioneer_360 pioneer_slam pioneer_slam2 pioneer_slam3 rpy xyz",
+    "3": "cabinet large_cabinet long_office_household nostructure_notexture_far"
+    " nostructure_notexture_near_withloop nostructure_texture_far"
+    " nostructure_texture_near_withloop sitting_halfsphere sitting_rpy sitting_static sitting_xyz"
+    " structure_notexture_far structure_notexture_near structure_texture_far"
+    " structure_texture_near teddy walking_halfsphere walking_rpy walking_static walking_xyz",
+}
+_SHORT_NAMES = tuple(f"fr{n}_{name}" for n, names in _SEQUENCES.items() for name in names.split())
+_NICKNAMES = {
+    "fr3_office": "fr3_long_office_household",
+    "fr3_long_office": "fr3_long_office_household",
+}
+_TRIES = 5
+_PAUSE_S = 0.5
+_TIMEOUT_S = 30.0
+_CHUNK_BYTES = 1 << 18
+_TRY_AGAIN = frozenset({408, 425, 429, 500, 502, 503, 504})
 _CORRUPTED = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError)
+_log = logging.getLogger(__name__)
+
+
+def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
+    """Return the folder of a sequence: a path, or a benchmark name, downloaded if need be.
+
+    A name is looked for under $LOOPCLOSE_DATA, then in the user's cache folder, then on the
+    benchmark's server (or the mirror $LOOPCLOSE_TUM_URL), whose archive goes to the cache folder.
+
+    Raises:
+        SlamError: it is neither a path nor a known name, or the download does not succeed.
+    """
+    with suppress(OSError):  # such as a name too long for a path
+        if Path(name_or_path).exists():
+            return Path(name_or_path)
+    short_name = _short_name(name_or_path)
+    folder_name = f"rgbd_dataset_freiburg{short_name[2:]}"
+    for root in _local_roots():
+        for candidate in (root / folder_name, root / short_name):
+            if (candidate / "rgb.txt").is_file():
+                return candidate
+    return _fetch(folder_name, progress)
+
+
+def _short_name(name: str) -> str:
+    plain = name.lower().strip("/").replace("-", "_").replace("/", "_")
+    plain = plain.removeprefix("rgbd_dataset_").replace("freiburg", "fr", 1)
+    plain = _NICKNAMES.get(plain, plain)
+    if plain in _SHORT_NAMES:
+        return plain
+    close = get_close_matches(plain, (*_SHORT_NAMES, *_NICKNAMES))
+    hint = f"did you mean {' or '.join(close)}?" if close else "names look like fr1_desk;"
+    raise SlamError(
+        f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
+        f" the folder of a recording works too: {name}"
+    )
+
+
+def _local_roots() -> list[Path]:
+    data = os.environ.get("LOOPCLOSE_DATA")
+    return [*([Path(data)] if data else []), cache_folder()]
+
+
+def _fetch(folder_name: str, progress: Progress | None) -> Path:
+    server = os.environ.get("LOOPCLOSE_TUM_URL", _SERVER).rstrip("/")
+    if not server.startswith(("https://", "http://")):
+        raise SlamError(f"LOOPCLOSE_TUM_URL must start with https:// or http://: {server}")
+    folder = cache_folder() / folder_name
+    archive = cache_folder() / f"{folder_name}.tgz"
+    try:
+        cache_folder().mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SlamError(
+            f"cannot make the cache folder (set XDG_CACHE_HOME to another): {error.strerror}:"
+            f" {cache_folder()}"
+        ) from error
+    if not archive.exists():
+        freiburg = folder_name.removeprefix("rgbd_dataset_").split("_")[0]
+        _download(f"{server}/{freiburg}/{archive.name}", archive, progress)
+    _unpack(archive, folder)
+    _log.info("downloaded to %s", folder)
+    return folder
+
+
+class _ConnectionCutError(Exception):
+    """The server could not be reached or stopped in the middle; trying again may help."""
+
+
+def _download(url: str, target: Path, progress: Progress | None = None) -> None:
+    """Download a URL to a file that appears only when complete; what arrived before is kept.
+
+    An unfinished file is `target` with `.part` behind its name; the version of the file on the
+    server that it belongs to stands beside it in `.version`.
+
+    Raises:
+        SlamError: the server has no such file, stays out of reach, or the disk is full.
+    """
+    part = target.with_name(target.name + ".part")
+    version = target.with_name(target.name + ".version")
+    for attempt in range(1, _TRIES + 1):
+        try:
+            _continue(url, part, version, progress)
+            part.replace(target)
+            version.unlink(missing_ok=True)
+            return
+        except _ConnectionCutError as error:
+            _log.info("try %d of %d failed: %s", attempt, _TRIES, error)
+            if attempt == _TRIES:
+                at_hand = part.stat().st_size if part.exists() else 0
+                raise SlamError(
+                    f"the download broke off {_TRIES} times ({error}); {at_hand / 1e6:.1f} MB are"
+                    f" kept and running again resumes there: {url}"
+                ) from error
+            time.sleep(_PAUSE_S * 2 ** (attempt - 1))
+        except OSError as error:
+            raise SlamError(f"cannot store the download: {error.strerror}: {part}") from error
+
+
+def _continue(url: str, part: Path, version: Path, progress: Progress | None) -> None:
+    """Ask for what is missing and append it; start anew where the server cannot go on there."""
+    start = part.stat().st_size if part.exists() else 0
+    request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
+    if start:
+        request.add_header("Range", f"bytes={start}-")
+        if version.exists():
+            request.add_header("If-Range", version.read_text())
+    response = _open(request, part)
+    if response is None:
+        return
+    with response:
+        range_start, total = _extent(response)
+        if range_start != start:
+            if range_start:
+                raise _start_anew(part, f"the server sent bytes from {range_start}, not {start}")
+            start = 0
+        _remember_version(response, version)
+        with part.open("ab" if start else "wb") as file:
+            for chunk in _chunks(response):
+                file.write(chunk)
+                start += len(chunk)
+                if progress:
+                    progress(start, total)
+    if total is not None and start != total:
+        raise _ConnectionCutError(f"{start} of {total} bytes arrived")
+
+
+def _open(request: urllib.request.Request, part: Path) -> http.client.HTTPResponse | None:
+    """Return the server's answer, or None where it says that nothing is missing."""
+    url = request.full_url
+    try:
+        response: http.client.HTTPResponse = urllib.request.urlopen(request, timeout=_TIMEOUT_S)
+        return response
+    except urllib.error.HTTPError as error:
+        why = f"HTTP {error.code} {error.reason}"
+        if error.code == 416:  # there is nothing behind what is at hand
+            if error.headers["Content-Range"] == f"bytes */{part.stat().st_size}":
+                return None
+            raise _start_anew(part, why) from error
+        if error.code in _TRY_AGAIN:
+            raise _ConnectionCutError(why) from error
+        raise SlamError(f"the server refuses the download ({why}): {url}") from error
+    except (OSError, http.client.HTTPException) as error:
+        raise _ConnectionCutError(str(getattr(error, "reason", error)) or "no answer") from error
+
+
+def _start_anew(part: Path, why: str) -> _ConnectionCutError:
+    part.unlink()
+    return _ConnectionCutError(f"the unfinished file was removed because it did not fit: {why}")
+
+
+def _extent(response: http.client.HTTPResponse) -> tuple[int, int | None]:
+    """Return the first byte's position in the whole file, and the file's length where known."""
+    if response.status == 206:
+        extent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers["Content-Range"] or "")
+        if extent is None:
+            raise _ConnectionCutError("the server does not say which part it sends")
+        return int(extent[1]), None if extent[2] == "*" else int(extent[2])
+    length = response.headers["Content-Length"]
+    return 0, int(length) if length else None
+
+
+def _remember_version(response: http.client.HTTPResponse, version: Path) -> None:
+    tag = response.headers["ETag"] or ""
+    if tag.startswith('"'):  # a weak tag (W/"...") may not be used to resume
+        version.write_text(tag)
+    else:
+        version.unlink(missing_ok=True)
+
+
+def _chunks(response: http.client.HTTPResponse) -> Iterator[bytes]:
+    while True:
+        try:
+            chunk = response.read(_CHUNK_BYTES)
+        except (OSError, http.client.HTTPException) as error:
+            raise _ConnectionCutError(str(error) or "cut off") from error
+        if not chunk:
+            return
+        yield chunk
 
 
 def _unpack(archive: Path, folder: Path) -> None:
@@ -83,85 +289,3 @@ def _sequence_in(folder: Path) -> Path:
     if len(found) != 1:
         raise _RefusedError(f"it holds {len(found)} folders with a file rgb.txt, expected one")
     return found[0]
-
-
-_SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
-
-_SEQUENCES = {
-    "1": "360 desk desk2 floor plant room rpy teddy xyz",
-    "2": "360_hemisphere 360_kidnap coke desk desk_with_person dishes flowerbouquet"
-    " flowerbouquet_brownbackground large_no_loop large_with_loop metallic_sphere"
-    " metallic_sphere2 pioneer_360 pioneer_slam pioneer_slam2 pioneer_slam3 rpy xyz",
-    "3": "cabinet large_cabinet long_office_household nostructure_notexture_far"
-    " nostructure_notexture_near_withloop nostructure_texture_far"
-    " nostructure_texture_near_withloop sitting_halfsphere sitting_rpy sitting_static sitting_xyz"
-    " structure_notexture_far structure_notexture_near structure_texture_far"
-    " structure_texture_near teddy walking_halfsphere walking_rpy walking_static walking_xyz",
-}
-_SHORT_NAMES = tuple(f"fr{n}_{name}" for n, names in _SEQUENCES.items() for name in names.split())
-_NICKNAMES = {
-    "fr3_office": "fr3_long_office_household",
-    "fr3_long_office": "fr3_long_office_household",
-}
-_log = logging.getLogger(__name__)
-
-
-def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
-    """Return the folder of a sequence: a path, or a benchmark name, downloaded if need be.
-
-    A name is looked for under $LOOPCLOSE_DATA, then in the user's cache folder, then on the
-    benchmark's server (or the mirror $LOOPCLOSE_TUM_URL), whose archive goes to the cache folder.
-
-    Raises:
-        SlamError: it is neither a path nor a known name, or the download does not succeed.
-    """
-    with suppress(OSError):  # such as a name too long for a path
-        if Path(name_or_path).exists():
-            return Path(name_or_path)
-    short_name = _short_name(name_or_path)
-    folder_name = f"rgbd_dataset_freiburg{short_name[2:]}"
-    for root in _local_roots():
-        for candidate in (root / folder_name, root / short_name):
-            if (candidate / "rgb.txt").is_file():
-                return candidate
-    return _fetch(folder_name, progress)
-
-
-def _short_name(name: str) -> str:
-    plain = name.lower().strip("/").replace("-", "_").replace("/", "_")
-    plain = plain.removeprefix("rgbd_dataset_").replace("freiburg", "fr", 1)
-    plain = _NICKNAMES.get(plain, plain)
-    if plain in _SHORT_NAMES:
-        return plain
-    close = get_close_matches(plain, (*_SHORT_NAMES, *_NICKNAMES))
-    hint = f"did you mean {' or '.join(close)}?" if close else "names look like fr1_desk;"
-    raise SlamError(
-        f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
-        f" the folder of a recording works too: {name}"
-    )
-
-
-def _local_roots() -> list[Path]:
-    data = os.environ.get("LOOPCLOSE_DATA")
-    return [*([Path(data)] if data else []), cache_folder()]
-
-
-def _fetch(folder_name: str, progress: Progress | None) -> Path:
-    server = os.environ.get("LOOPCLOSE_TUM_URL", _SERVER).rstrip("/")
-    if not server.startswith(("https://", "http://")):
-        raise SlamError(f"LOOPCLOSE_TUM_URL must start with https:// or http://: {server}")
-    folder = cache_folder() / folder_name
-    archive = cache_folder() / f"{folder_name}.tgz"
-    try:
-        cache_folder().mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SlamError(
-            f"cannot make the cache folder (set XDG_CACHE_HOME to another): {error.strerror}:"
-            f" {cache_folder()}"
-        ) from error
-    if not archive.exists():
-        freiburg = folder_name.removeprefix("rgbd_dataset_").split("_")[0]
-        download(f"{server}/{freiburg}/{archive.name}", archive, progress)
-    _unpack(archive, folder)
-    _log.info("downloaded to %s", folder)
-    return folder

@@ -22,7 +22,8 @@ class Format:
     Attributes:
         name: for people.
         needs: what a folder must hold, as glob patterns; one of those that `|` separates will do.
-        open: reads such a folder.
+        open: reads such a folder; raises LoopcloseError where a list, a pose, the camera or most
+            images are not usable.
     """
 
     name: str

@@ -35,9 +35,6 @@ def open_icl_nuim(path: Path, config: InputConfig) -> Sequence:
     """Open the "TUM RGB-D compatible PNGs": associations.txt and the truth in a *.gt.freiburg.
 
     Both count images, at 30 a second; the first image has no true pose.
-
-    Raises:
-        LoopcloseError: a list, the camera or most images are not usable.
     """
     warnings: list[str] = []
     images = _read_associations(path / "associations.txt", warnings)
@@ -85,9 +82,6 @@ def open_icl_nuim_original(path: Path, config: InputConfig) -> Sequence:
     """Open the images as rendered: scene_00_0000.png, .depth and, with the pose, .txt, and so on.
 
     A .depth holds a number per pixel, as text: the distance from the camera in metres.
-
-    Raises:
-        LoopcloseError: a pose, the camera or most images are not usable.
     """
     colors = numbered_images(path, _ORIGINAL_NAME)
     camera = rescaled(named_camera(path, config) or replace(CAMERA, depth_scale=1.0), config)

@@ -28,9 +28,6 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
 
     Images are paired by their numbers, and taken 30 times a second unless their names tell the
     time. Depth is in millimetres unless the camera file has another depth_scale.
-
-    Raises:
-        LoopcloseError: the trajectory, the camera or most images are not usable.
     """
     warnings: list[str] = []
     images = [
@@ -96,9 +93,6 @@ def open_realsense(path: Path, config: InputConfig) -> Sequence:
     Images are paired by their numbers. A line of timestamps is the number or name of an image and
     its time, or a time alone, one for each image. Times are seconds, or milliseconds where frames
     would otherwise follow each other by more than a second, as pyrealsense2 gives them.
-
-    Raises:
-        LoopcloseError: the times, the camera or most images are not usable.
     """
     warnings: list[str] = []
     pairs = numbered_pairs(_color_folder(path), path / "depth", warnings)

@@ -25,9 +25,6 @@ def open_scannet(path: Path, config: InputConfig) -> Sequence:
 
     A pose of -inf is unknown. Where a camera is named, colour and depth are taken to be registered
     to it.
-
-    Raises:
-        LoopcloseError: a matrix, the camera or most images are not usable.
     """
     warnings: list[str] = []
     pairs = numbered_pairs(path / "color", path / "depth", warnings)

@@ -44,9 +44,6 @@ def open_seven_scenes(path: Path, config: InputConfig) -> Sequence:
     """Open a folder of frame-*.color.png, .depth.png (mm, 65535 unknown) and .pose.txt, at 30 Hz.
 
     Where a camera is named, colour and depth are taken to be registered to it.
-
-    Raises:
-        LoopcloseError: a pose, the camera or most images are not usable.
     """
     warnings: list[str] = []
     named = named_camera(path, config)

@@ -18,11 +18,7 @@ _MANY_UNPAIRED = 0.1
 
 
 def open_tum(path: Path, config: InputConfig) -> Sequence:
-    """Open a folder that holds rgb.txt, depth.txt and, where the truth is known, groundtruth.txt.
-
-    Raises:
-        LoopcloseError: a list, the camera, the association or most images are not usable.
-    """
+    """Open a folder of rgb.txt, depth.txt and, where the truth is known, groundtruth.txt."""
     warnings: list[str] = []
     color_s, color_paths = _read_image_list(path / "rgb.txt", warnings)
     depth_s, depth_paths = _read_image_list(path / "depth.txt", warnings)

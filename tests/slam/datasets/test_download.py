@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from placerec.files import cache_folder
-from slam.datasets import download, resolve, transfer
+from slam.datasets import download, resolve
 from slam.types import SlamError
 
 NAME = "rgbd_dataset_freiburg1_desk"
@@ -99,7 +99,7 @@ def site(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Site]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("LOOPCLOSE_DATA", raising=False)
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(transfer, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(download, "_PAUSE_S", 0.0)
     yield site
     server.shutdown()
     server.server_close()
@@ -154,7 +154,7 @@ def test_a_server_without_ranges_restarts_cleanly(site: Site) -> None:
 
 def test_a_file_that_changed_on_the_server_is_fetched_anew(site: Site) -> None:
     site.content = flipped(ARCHIVE, 500)
-    site.cut_after = [1000] * transfer._TRIES
+    site.cut_after = [1000] * download._TRIES
     with pytest.raises(SlamError):
         resolve("fr1_desk")
     site.content, site.etag = ARCHIVE, '"v2"'
@@ -162,13 +162,13 @@ def test_a_file_that_changed_on_the_server_is_fetched_anew(site: Site) -> None:
 
 
 def test_after_many_cuts_the_user_is_told_that_running_again_resumes(site: Site) -> None:
-    site.cut_after = [1000] * transfer._TRIES
+    site.cut_after = [1000] * download._TRIES
     with pytest.raises(SlamError, match="running again resumes") as caught:
         resolve("fr1_desk")
     assert "\n" not in str(caught.value)
     site.requests.clear()
     assert_unpacked(resolve("fr1_desk"))
-    assert site.requests[0][1] == f"bytes={1000 * transfer._TRIES}-"
+    assert site.requests[0][1] == f"bytes={1000 * download._TRIES}-"
 
 
 def test_a_part_that_was_already_whole_is_not_fetched_again(site: Site) -> None:
