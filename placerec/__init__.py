@@ -10,15 +10,23 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from placerec.conformance import check
-    from placerec.errors import RecognizerError
-    from placerec.networks import PlaceNetwork, Preprocessing, Trunk
-    from placerec.recognizer import PlaceRecognizer, available, load
-    from placerec.training import Training, TrainingConfig
+    from placerec.conformance import check as check
+    from placerec.errors import RecognizerError as RecognizerError
+    from placerec.networks import TRUNKS as TRUNKS
+    from placerec.networks import PlaceNetwork as PlaceNetwork
+    from placerec.networks import Preprocessing as Preprocessing
+    from placerec.networks import Trunk as Trunk
+    from placerec.networks.pretrained import download_pretrained as download_pretrained
+    from placerec.recognizer import PlaceRecognizer as PlaceRecognizer
+    from placerec.recognizer import available as available
+    from placerec.recognizer import load as load
+    from placerec.training import Training as Training
+    from placerec.training import TrainingConfig as TrainingConfig
 
     __version__: str
 
 _HOME = {
+    "TRUNKS": "placerec.networks",
     "PlaceNetwork": "placerec.networks",
     "PlaceRecognizer": "placerec.recognizer",
     "Preprocessing": "placerec.networks",
@@ -28,22 +36,11 @@ _HOME = {
     "Trunk": "placerec.networks",
     "available": "placerec.recognizer",
     "check": "placerec.conformance",
+    "download_pretrained": "placerec.networks.pretrained",
     "load": "placerec.recognizer",
 }
 
-__all__ = [
-    "PlaceNetwork",
-    "PlaceRecognizer",
-    "Preprocessing",
-    "RecognizerError",
-    "Training",
-    "TrainingConfig",
-    "Trunk",
-    "__version__",
-    "available",
-    "check",
-    "load",
-]
+__all__ = sorted([*_HOME, "__version__"])
 
 
 def __getattr__(name: str) -> object:

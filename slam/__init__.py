@@ -10,23 +10,21 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from slam.config import Config
-    from slam.datasets import open_sequence
-    from slam.evaluation.drift import compare_drift
-    from slam.evaluation.trajectory import read_tum
-    from slam.output.run_folder import write_run
-    from slam.result import SlamResult
-    from slam.system import Slam
-    from slam.tracking.tracked_frame import TrackedFrame
-    from slam.types import (
-        Camera,
-        Frame,
-        Keyframe,
-        LoopAttempt,
-        Rejection,
-        SlamError,
-        Trajectory,
-    )
+    from slam.config import Config as Config
+    from slam.datasets import open_sequence as open_sequence
+    from slam.evaluation.drift import compare_drift as compare_drift
+    from slam.evaluation.trajectory import read_tum as read_tum
+    from slam.output.run_folder import write_run as write_run
+    from slam.result import SlamResult as SlamResult
+    from slam.system import Slam as Slam
+    from slam.tracking.tracked_frame import TrackedFrame as TrackedFrame
+    from slam.types import Camera as Camera
+    from slam.types import Frame as Frame
+    from slam.types import Keyframe as Keyframe
+    from slam.types import LoopAttempt as LoopAttempt
+    from slam.types import Rejection as Rejection
+    from slam.types import SlamError as SlamError
+    from slam.types import Trajectory as Trajectory
 
     __version__: str
 
@@ -48,24 +46,7 @@ _HOME = {
     "write_run": "slam.output.run_folder",
 }
 
-__all__ = [
-    "Camera",
-    "Config",
-    "Frame",
-    "Keyframe",
-    "LoopAttempt",
-    "Rejection",
-    "Slam",
-    "SlamError",
-    "SlamResult",
-    "TrackedFrame",
-    "Trajectory",
-    "__version__",
-    "compare_drift",
-    "open_sequence",
-    "read_tum",
-    "write_run",
-]
+__all__ = sorted([*_HOME, "__version__"])
 
 
 def __getattr__(name: str) -> object:
