@@ -13,7 +13,6 @@ import time
 import urllib.error
 import urllib.request
 import zlib
-from collections.abc import Iterator
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
@@ -35,10 +34,7 @@ _SEQUENCES = {
     " structure_texture_near teddy walking_halfsphere walking_rpy walking_static walking_xyz",
 }
 _SHORT_NAMES = tuple(f"fr{n}_{name}" for n, names in _SEQUENCES.items() for name in names.split())
-_NICKNAMES = {
-    "fr3_office": "fr3_long_office_household",
-    "fr3_long_office": "fr3_long_office_household",
-}
+_NICKNAMES = dict.fromkeys(("fr3_office", "fr3_long_office"), "fr3_long_office_household")
 _TRIES = 5
 _PAUSE_S = 0.5
 _TIMEOUT_S = 30.0
@@ -62,7 +58,8 @@ def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
             return Path(name_or_path)
     short_name = _short_name(name_or_path)
     folder_name = f"rgbd_dataset_freiburg{short_name[2:]}"
-    for root in _local_roots():
+    data = os.environ.get("LOOPCLOSE_DATA")
+    for root in (*([Path(data)] if data else []), cache_folder()):
         for candidate in (root / folder_name, root / short_name):
             if (candidate / "rgb.txt").is_file():
                 return candidate
@@ -81,11 +78,6 @@ def _short_name(name: str) -> str:
         f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
         f" the folder of a recording works too: {name}"
     )
-
-
-def _local_roots() -> list[Path]:
-    data = os.environ.get("LOOPCLOSE_DATA")
-    return [*([Path(data)] if data else []), cache_folder()]
 
 
 def _fetch(folder_name: str, progress: Progress | None) -> Path:
@@ -162,7 +154,7 @@ def _continue(url: str, part: Path, version: Path, progress: Progress | None) ->
             start = 0
         _remember_version(response, version)
         with part.open("ab" if start else "wb") as file:
-            for chunk in _chunks(response):
+            while chunk := _chunk(response):
                 file.write(chunk)
                 start += len(chunk)
                 if progress:
@@ -214,15 +206,12 @@ def _remember_version(response: http.client.HTTPResponse, version: Path) -> None
         version.unlink(missing_ok=True)
 
 
-def _chunks(response: http.client.HTTPResponse) -> Iterator[bytes]:
-    while True:
-        try:
-            chunk = response.read(_CHUNK_BYTES)
-        except (OSError, http.client.HTTPException) as error:
-            raise _ConnectionCutError(str(error) or "cut off") from error
-        if not chunk:
-            return
-        yield chunk
+def _chunk(response: http.client.HTTPResponse) -> bytes:
+    """Return the next bytes, none at the end."""
+    try:
+        return response.read(_CHUNK_BYTES)
+    except (OSError, http.client.HTTPException) as error:
+        raise _ConnectionCutError(str(error) or "cut off") from error
 
 
 def _unpack(archive: Path, folder: Path) -> None:

@@ -69,12 +69,7 @@ def _read_truth(log: Path, images: list[ImagePair]) -> Trajectory:
     frames = [frame for frame, _ in poses]
     if len(poses) == len(images):
         frames = list(range(len(images)))
-    if (
-        not frames
-        or frames[0] < 0
-        or frames[-1] >= len(images)
-        or np.diff(frames).min(initial=1) < 1
-    ):
+    if not frames or np.diff([-1, *frames, len(images)]).min() < 1:
         raise SlamError(
             f"there are {len(poses)} poses for {len(images)} images, and their numbers do not tell"
             f" which is whose; remove the file to run without ground truth: {log}"

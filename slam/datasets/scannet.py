@@ -52,10 +52,9 @@ def _registration(folder: Path, pairs: list[NumberedPair]) -> Registration:
         camera = _read_camera(depth_file, depth_size)
         return Registration(camera, camera, np.eye(4))
     color_camera = _read_camera(color_file, color_size)
-    depth_camera = resized(color_camera, *depth_size)
-    if depth_file.is_file():
-        depth_camera = _read_camera(depth_file, depth_size)
-    return Registration(color_camera, depth_camera, np.eye(4))
+    if not depth_file.is_file():
+        return Registration(color_camera, resized(color_camera, *depth_size), np.eye(4))
+    return Registration(color_camera, _read_camera(depth_file, depth_size), np.eye(4))
 
 
 def _read_camera(file: Path, size: tuple[int, int]) -> Camera:

@@ -45,7 +45,6 @@ class Sequence:
         camera: the camera of its frames.
         timestamps_s: (N,) float64, strictly increasing, the frames whose files exist.
         ground_truth: true camera poses, or None where there are none.
-        unpaired_color, unpaired_depth: listed images without a partner close enough in time.
     """
 
     def __init__(
@@ -55,8 +54,6 @@ class Sequence:
         images: list[ImagePair],
         *,
         ground_truth: Trajectory | None = None,
-        unpaired_color: int = 0,
-        unpaired_depth: int = 0,
         warnings: tuple[str, ...] = (),
         registration: Registration | None = None,
         read_depth_file: DepthReader | None = None,
@@ -72,8 +69,6 @@ class Sequence:
         self.name = name
         self.camera = camera
         self.ground_truth = ground_truth
-        self.unpaired_color = unpaired_color
-        self.unpaired_depth = unpaired_depth
         self._registration = registration
         self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)

@@ -30,10 +30,10 @@ def open_tum(path: Path, config: InputConfig) -> Sequence:
             f" {smallest_s:.6g} s, allowed are"
             f" {config.max_time_difference_s:g} s (--input.max-time-difference-s): {path}"
         )
-    unpaired = len(color_s) - len(pairs), len(depth_s) - len(pairs)
-    if unpaired[0] > _MANY_UNPAIRED * len(color_s):
+    unpaired = len(color_s) - len(pairs)
+    if unpaired > _MANY_UNPAIRED * len(color_s):
         warnings.append(
-            f"{unpaired[0]} of {len(color_s)} colour images have no depth image within"
+            f"{unpaired} of {len(color_s)} colour images have no depth image within"
             f" {config.max_time_difference_s:g} s and are not used"
         )
     truth = path / "groundtruth.txt"
@@ -42,8 +42,6 @@ def open_tum(path: Path, config: InputConfig) -> Sequence:
         rescaled(named_camera(path, config) or freiburg_camera(path), config),
         [ImagePair(float(color_s[i]), color_paths[i], depth_paths[k]) for i, k in pairs],
         ground_truth=read_pose_list(truth, warnings) if truth.is_file() else None,
-        unpaired_color=unpaired[0],
-        unpaired_depth=unpaired[1],
         warnings=tuple(warnings),
     )
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from placerec.datasets.tum_lists import read_lines
 from slam.config import InputConfig
 from slam.datasets import open_sequence
 from slam.datasets.tum import associate
@@ -102,7 +103,7 @@ def test_images_without_partner_are_counted(make_folder: MakeFolder) -> None:
     folder = make_folder(10)
     edit(folder / "depth.txt", lambda lines: [*lines[:3], *lines[5:], "300.0 depth/0.png"])
     sequence = open_sequence(folder, CONFIG)
-    assert (len(sequence), sequence.unpaired_color, sequence.unpaired_depth) == (8, 2, 1)
+    assert len(sequence) == 8
     assert "2 of 10 colour images have no depth image within 0.02 s" in sequence.warnings[0]
 
 
@@ -183,7 +184,8 @@ def test_a_depth_scale_that_cannot_be_right_is_a_warning(make_folder: MakeFolder
 @pytest.mark.skipif(not DESK.is_dir(), reason="no copy of fr1_desk under LOOPCLOSE_DATA")
 def test_every_depth_image_of_fr1_desk_finds_its_colour_image() -> None:
     sequence = open_sequence(DESK, CONFIG)
-    assert (len(sequence), sequence.unpaired_color, sequence.unpaired_depth) == (595, 18, 0)
+    listed = [len(list(read_lines(DESK / name))) for name in ("rgb.txt", "depth.txt")]
+    assert (len(sequence), *listed) == (595, 613, 595)
     assert sequence.camera.fx == 517.3
     assert sequence.ground_truth is not None
     assert len(sequence.ground_truth) == 2335
