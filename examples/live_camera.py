@@ -37,6 +37,7 @@ from slam import (
     Camera,
     Config,
     Frame,
+    LoopcloseError,
     Rejection,
     Slam,
     SlamError,
@@ -206,5 +207,5 @@ def main(arguments: list[str] | None = None, clock: Clock = time) -> None:
 if __name__ == "__main__":
     try:
         main()
-    except SlamError as error:
+    except LoopcloseError as error:
         sys.exit(str(error))

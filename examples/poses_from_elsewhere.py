@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from placerec import load
 from slam import (
     Config,
+    LoopcloseError,
     Slam,
     SlamError,
     SlamResult,
@@ -125,5 +126,5 @@ def main(name: str, odometry_file: str | None = None) -> None:
 if __name__ == "__main__":
     try:
         main(*sys.argv[1:3])
-    except SlamError as error:
+    except LoopcloseError as error:
         sys.exit(str(error))

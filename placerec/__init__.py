@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from placerec.conformance import check as check
+    from placerec.errors import LoopcloseError as LoopcloseError
     from placerec.errors import RecognizerError as RecognizerError
     from placerec.networks import TRUNKS as TRUNKS
     from placerec.networks import PlaceNetwork as PlaceNetwork
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
+    "LoopcloseError": "placerec.errors",
     "TRUNKS": "placerec.networks",
     "PlaceNetwork": "placerec.networks",
     "PlaceRecognizer": "placerec.recognizer",

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from placerec.errors import LoopcloseError as LoopcloseError
     from slam.config import Config as Config
     from slam.datasets import open_sequence as open_sequence
     from slam.evaluation.drift import compare_drift as compare_drift
@@ -34,6 +35,7 @@ _HOME = {
     "Frame": "slam.types",
     "Keyframe": "slam.types",
     "LoopAttempt": "slam.types",
+    "LoopcloseError": "placerec.errors",
     "Rejection": "slam.types",
     "Slam": "slam.system",
     "SlamError": "slam.types",
