@@ -26,7 +26,6 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from slam.demo.drive import LAP_S
 from tqdm import tqdm
 
 from placerec.drawing import canvas, line_styles, png, svg
@@ -34,6 +33,7 @@ from placerec.index import PlaceIndex
 from placerec.recognizer import load
 from slam import Camera, Config, Frame, Slam, TrackedFrame, Trajectory, compare_drift
 from slam.__main__ import DEFAULT_RECOGNIZER
+from slam.demo import LAP_S
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.room import build_room, render
 from slam.types import FloatArray

@@ -37,6 +37,8 @@ class LearnedRecognizer:
         trained_on: names of datasets, as far as known: of the default weights.
     """
 
+    min_similarity: float
+
     def __init__(
         self, path: Path = DEFAULT_WEIGHTS, trunks: Iterable[Trunk] = tuple(TRUNKS.values())
     ) -> None:
