@@ -19,7 +19,7 @@ to the highest, every fifth from the third is for testing, every tenth from the 
 validation. The table's own split is a stride over the same clips and is not used: neighbouring
 frames, nearly equal, would be on both sides."""
 PARTS = ("train", "validation", "test")
-PLACE_FRAMES = 3
+_PLACE_FRAMES = 3
 """So many consecutive frames of a clip, about a second apart, share a view: a place."""
 
 _FRAME = re.compile(r"(?P<clip>.+)_frame_(?P<number>\d+)\.\w+")
@@ -37,9 +37,9 @@ class Frame(NamedTuple):
 def read_clips(folder: Path, part: str = "test") -> PlaceDataset:
     """Read the floors for training, validation or testing of a folder with dataset.csv and images.
 
-    Frames of one clip less than PLACE_FRAMES apart are the same place, those of different floors
+    Frames of one clip fewer than 3 frames apart are the same place, those of different floors
     are different ones. All other pairs of one floor are not compared: clips cross each other and
-    come back, so nobody knows. A label is PLACE_FRAMES consecutive frames; what is left at the end
+    come back, so nobody knows. A label is 3 consecutive frames; what is left at the end
     of a clip joins the last.
     """
     if part not in PARTS:
@@ -51,7 +51,7 @@ def read_clips(folder: Path, part: str = "test") -> PlaceDataset:
     clips = np.array([frame.clip for frame in frames])
     numbers = np.array([frame.number for frame in frames])
     apart = np.abs(numbers[:, None] - numbers)
-    same_place = (clips[:, None] == clips) & (apart < PLACE_FRAMES) & (apart > 0)
+    same_place = (clips[:, None] == clips) & (apart < _PLACE_FRAMES) & (apart > 0)
     everyone = np.arange(len(frames))
     dataset = PlaceDataset(
         name=f"{folder.resolve().name}:{part}",
@@ -91,7 +91,7 @@ def _label(clips: NDArray[np.str_]) -> NDArray[np.int64]:
     count = 0
     for clip in np.unique(clips):
         own = clips == clip
-        places = max(1, int(own.sum()) // PLACE_FRAMES)
-        labels[own] = count + np.minimum(np.arange(own.sum()) // PLACE_FRAMES, places - 1)
+        places = max(1, int(own.sum()) // _PLACE_FRAMES)
+        labels[own] = count + np.minimum(np.arange(own.sum()) // _PLACE_FRAMES, places - 1)
         count += places
     return labels

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from placerec.datasets.place_dataset import PlaceDataset
 from placerec.errors import RecognizerError
 
-LONGEST_PX = 384
+_LONGEST_PX = 384
 """Longer sides are shrunk to this, more than any network here looks at: the rest costs time."""
 _KEPT = 1024
 """Images kept decoded: those looked at to build sets are soon learned from."""
@@ -64,7 +64,7 @@ class LabelledImages:
         return tuple(path.name for dataset in self._datasets for path in dataset.paths)
 
     def __getitem__(self, index: int, /) -> NDArray[np.uint8]:
-        """Return an image, (H, W, 3) uint8 RGB, at most LONGEST_PX wide or high; read-only.
+        """Return an image, (H, W, 3) uint8 RGB, at most 384 px wide or high; read-only.
 
         Raises:
             RecognizerError: it can no longer be read.
@@ -74,7 +74,7 @@ class LabelledImages:
     def _decode(self, index: int) -> NDArray[np.uint8]:
         k = int(np.searchsorted(self._starts, index, side="right")) - 1
         image = self._datasets[k][index - int(self._starts[k])]
-        shrink = LONGEST_PX / max(image.shape[:2])
+        shrink = _LONGEST_PX / max(image.shape[:2])
         if shrink < 1.0:
             small = cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
             image = np.asarray(small, np.uint8)

@@ -12,12 +12,12 @@ from placerec.datasets.tum_lists import FloatArray, nearest, read_images, read_p
 from placerec.errors import RecognizerError
 
 _MAX_TIME_DIFFERENCE_S = 0.02
-MAX_DISTANCE = 0.6
+_MAX_DISTANCE = 0.6
 """Metres plus radians below which two frames are of the same place."""
-MIN_GAP_S = 3.0
+_MIN_GAP_S = 3.0
 """Frames closer in time are not compared: they are alike without any place being recognised."""
 STRIDE = 3
-"""Of a video every so many frames one is used; of single views, further apart than MIN_GAP_S, as
+"""Of a video every so many frames one is used; of single views, further apart than _MIN_GAP_S, as
 rendered ones are, every one."""
 
 
@@ -46,8 +46,8 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
         paths=recording.paths,
         queries=everyone,
         references=everyone,
-        same_place=distance < MAX_DISTANCE,
-        comparable=apart_s > MIN_GAP_S,
+        same_place=distance < _MAX_DISTANCE,
+        comparable=apart_s > _MIN_GAP_S,
         places=_label(distance),
         timestamps_s=recording.timestamps_s,
         positions_m=recording.positions_m,
@@ -67,7 +67,7 @@ def read_tum_sessions(
     everywhere_m = np.concatenate(positions_m)
     distance = pose_distance(everywhere_m, np.concatenate(quaternions))
     first = len(paths[0])
-    same_place = distance[:first, first:] < MAX_DISTANCE
+    same_place = distance[:first, first:] < _MAX_DISTANCE
     dataset = PlaceDataset(
         name=f"{_short_name(query_folder)}+{_short_name(reference_folder)}",
         paths=(*paths[0], *paths[1]),
@@ -94,7 +94,7 @@ def read_recording(folder: Path, stride: int) -> Recording:
     in_truth = nearest(truth_s, frames_s)
     difference_s = np.abs(truth_s[in_truth] - frames_s)
     used = np.flatnonzero(difference_s <= _MAX_TIME_DIFFERENCE_S)
-    if np.median(np.diff(frames_s, prepend=-np.inf)) <= MIN_GAP_S:
+    if np.median(np.diff(frames_s, prepend=-np.inf)) <= _MIN_GAP_S:
         used = used[::stride]
     if not len(used):
         raise RecognizerError(
@@ -134,7 +134,7 @@ def _label(distance: FloatArray) -> NDArray[np.int64]:
     labels = np.full(len(distance), -1)
     for i, row in enumerate(distance):
         if labels[i] < 0:
-            labels[(labels < 0) & (row < MAX_DISTANCE / 2.0)] = labels.max() + 1
+            labels[(labels < 0) & (row < _MAX_DISTANCE / 2.0)] = labels.max() + 1
     return labels
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatMap = NDArray[np.floating[Any] | np.integer[Any]]  # what OpenCV says that it returns
+_FloatMap = NDArray[np.floating[Any] | np.integer[Any]]  # what OpenCV says that it returns
 
 _WORKING_SIZE_PX = (160, 120)
 _GRID = (40, 30)
@@ -74,9 +74,9 @@ def _features(image: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.stack(maps).reshape(len(maps), -1).astype(np.float64)
 
 
-def _gradients(channel: FloatMap) -> list[FloatMap]:
+def _gradients(channel: _FloatMap) -> list[_FloatMap]:
     """Return one grid map per scale and orientation of a (H, W) channel's gradients."""
-    maps: list[FloatMap] = []
+    maps: list[_FloatMap] = []
     for _ in range(_SCALES):
         dx = cv2.Sobel(channel, cv2.CV_32F, 1, 0)
         dy = cv2.Sobel(channel, cv2.CV_32F, 0, 1)
@@ -92,5 +92,5 @@ def _gradients(channel: FloatMap) -> list[FloatMap]:
     return maps
 
 
-def _to_grid(channel: FloatMap) -> FloatMap:
+def _to_grid(channel: _FloatMap) -> _FloatMap:
     return cv2.resize(channel, _GRID, interpolation=cv2.INTER_AREA)
