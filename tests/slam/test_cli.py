@@ -521,7 +521,7 @@ def test_weights_are_used_with_what_they_were_calibrated_on(run_slam, short_reco
 def test_places_unlike_those_calibrated_on_are_warned_of(
     run_slam, short_recording, weights, monkeypatch
 ):
-    monkeypatch.setattr(certificate, "FEW_PAIRS", 1)
+    monkeypatch.setattr(certificate, "_FEW_PAIRS", 1)
     keep_calibration(weights, certificate_for(weights, same_place=(-1.0, -0.5)))
     ran = run_slam(short_recording(34), "--recognizer", weights, *QUICK)
     (warning,) = ran.warnings

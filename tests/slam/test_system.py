@@ -437,7 +437,7 @@ class Certified(GradientRecognizer):
 def test_a_run_says_what_its_recognizer_was_calibrated_on_and_doubts_it(
     frames, result, monkeypatch, two_places
 ):
-    monkeypatch.setattr(certificate, "FEW_PAIRS", 1)
+    monkeypatch.setattr(certificate, "_FEW_PAIRS", 1)
     recognizer = Certified(*two_places)
     certified = run(frames, recognizer=recognizer)
     assert certified.calibration.certificate is recognizer.certificate
