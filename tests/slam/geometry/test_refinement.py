@@ -149,6 +149,15 @@ def test_residuals_are_lengths_in_pixels_of_the_finest_level(make_views):
     np.testing.assert_allclose(lengths, expected)
 
 
+def test_a_wrong_depth_makes_no_residual_longer(make_views):
+    views = make_views(T_REF_QUERY)
+    pairs = match(views.reference, views.query, 64)
+    wrong = replace(views.query, depth_m=1.3 * views.query.depth_m)
+    correspondences = Correspondences.of(views.reference, wrong, pairs, views.camera)
+    lengths = residual_lengths(T_REF_QUERY, correspondences, views.camera)
+    np.testing.assert_allclose(lengths, 0.0, atol=1e-9)
+
+
 def test_a_point_behind_the_camera_agrees_with_nothing(make_views):
     views = make_views(np.eye(4), 20)
     T_ref_query = np.eye(4)

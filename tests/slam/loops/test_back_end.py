@@ -94,6 +94,15 @@ def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
     assert behind.similarities().shape == (4, 4)
 
 
+def test_a_keyframe_closes_no_loop_with_one_that_it_is_linked_to(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    motion = RelativePose(np.eye(4), INFORMATION)
+    for keyframe, rgb in keyframes[:3]:
+        known = [Link(k, keyframe.id, motion) for k in reversed(range(keyframe.id))]
+        behind.insert(keyframe, tuple(known), rgb)
+    assert behind.solve().attempts == ()
+
+
 def test_loops_that_lost_are_not_trusted(keyframes):
     behind = back_end(Gate(), min_gap_s=4.0)
     for keyframe, rgb in keyframes[:3]:

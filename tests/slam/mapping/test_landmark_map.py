@@ -50,6 +50,13 @@ def test_what_is_behind_or_seen_from_the_back_is_not_looked_for(one, scene):
     assert len(one.search(grid, beyond, np.arange(120), 1000.0)) == 0
 
 
+def test_a_keyframe_that_created_no_landmark_moves_none(one, scene):
+    second = add(one, scene, 1)
+    before_m = one.landmarks.positions_m.copy()
+    one.move_keyframes([second], scene.T_world_cam[2:3])
+    np.testing.assert_array_equal(one.landmarks.positions_m, before_m)
+
+
 def test_a_second_keyframe_adds_only_what_is_new(one, scene):
     pairs = np.tile(np.arange(100), (2, 1)).T
     second = add(one, scene, 1, pairs)

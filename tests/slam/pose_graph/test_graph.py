@@ -147,6 +147,20 @@ def test_poses_follow_while_running(walk: Walk) -> None:
     assert walk.rmse_m(running) < 0.5 * walk.rmse_m(walk.dead_reckoning())
 
 
+def test_a_side_link_counts_as_soon_as_it_is_there(walk: Walk) -> None:
+    graph = PoseGraph(GraphConfig())
+    for i, guess in enumerate(walk.dead_reckoning()[:3]):
+        graph.add_keyframe(i, guess)
+        if i:
+            graph.add_link(walk.links[i - 1])
+        graph.update()
+    before = graph.T_world_kf(2)
+    graph.add_link(Link(0, 2, RelativePose(before @ se3.exp(0.1 * SIGMAS), 100.0 * INFORMATION)))
+    graph.update()
+    moved = se3.log(se3.inverse(before) @ graph.T_world_kf(2))
+    np.testing.assert_allclose(moved, 0.1 * SIGMAS, rtol=0.2)
+
+
 def test_a_good_guess_is_not_needed(walk: Walk) -> None:
     graph = PoseGraph(GraphConfig())
     for i in range(len(walk.T_world_cam)):

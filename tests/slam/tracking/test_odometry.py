@@ -47,6 +47,7 @@ def tracked(frames):
 
 def test_every_frame_of_a_good_recording_is_tracked_along_the_truth(tracked, T_first_cam):
     assert all(isinstance(each, TrackedFrame) for each in tracked)
+    np.testing.assert_array_equal(tracked[0].T_kf_cam, np.eye(4))
     error_m, error_deg = errors(poses(tracked), T_first_cam)
     assert error_m.max() < 0.05 and error_deg.max() < 2.0
     assert se3.translation_norm(T_first_cam).max() > 0.5
