@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from placerec.recognizer import PlaceRecognizer as PlaceRecognizer
     from placerec.recognizer import available as available
     from placerec.recognizer import load as load
-    from placerec.training import Training as Training
-    from placerec.training import TrainingConfig as TrainingConfig
+    from placerec.training.config import TrainingConfig as TrainingConfig
+    from placerec.training.loop import Training as Training
 
     __version__: str
 
@@ -33,8 +33,8 @@ _HOME = {
     "PlaceRecognizer": "placerec.recognizer",
     "Preprocessing": "placerec.networks",
     "RecognizerError": "placerec.errors",
-    "Training": "placerec.training",
-    "TrainingConfig": "placerec.training",
+    "Training": "placerec.training.loop",
+    "TrainingConfig": "placerec.training.config",
     "Trunk": "placerec.networks",
     "available": "placerec.recognizer",
     "check": "placerec.conformance",
