@@ -19,6 +19,8 @@ def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Fe
     A row that is read out later was seen from where the camera had moved on to, by its velocity:
     (6,) tangent per second in its own frame, rotation first. What has no depth is turned alone.
     """
+    if camera.readout_s == 0.0 or not velocity.any():
+        return features
     time_s = camera.readout_s * ((features.pixels[:, 1] + 0.5) / camera.height - 0.5)
     has_depth = np.isfinite(features.depth_m)
     rays = (features.undistorted_px - [camera.cx, camera.cy]) / [camera.fx, camera.fy]

@@ -2,6 +2,7 @@
 """Where a view was taken: landmarks are looked for in it, and the pose follows from them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,18 +12,23 @@ from slam.geometry.refinement import refine_pose
 from slam.geometry.relative_pose import pose_by_ransac
 from slam.geometry.reprojection import Observations
 from slam.mapping.landmark_map import LandmarkMap
-from slam.types import Features, FloatArray, Frame, IntArray, Rejection, RejectionReason
+from slam.types import Camera, Features, FloatArray, Frame, IntArray, Rejection, RejectionReason
 
 _RADIUS_PX = 4.0  # how far from its place a landmark is looked for once the pose is known
 
 
 @dataclass(frozen=True)
 class View:
-    """A frame and the features in it, ready to be searched."""
+    """A frame and the features in it."""
 
     frame: Frame
     features: Features
-    grid: FeatureGrid
+    camera: Camera
+
+    @cached_property
+    def grid(self) -> FeatureGrid:
+        """The features, ready to be searched."""
+        return FeatureGrid(self.features, self.camera)
 
     @property
     def with_depth(self) -> int:
@@ -77,6 +83,17 @@ def track_local_map(
 ) -> FramePose | Rejection:
     """Look for (P,) landmarks close to where they should be, and let all refine the (4, 4) pose."""
     pairs = the_map.search(view.grid, T_map_cam, ids, _RADIUS_PX)
+    return refined_pose(the_map, view, T_map_cam, pairs, config)
+
+
+def refined_pose(
+    the_map: LandmarkMap,
+    view: View,
+    T_map_cam: FloatArray,
+    pairs: IntArray,
+    config: VerificationConfig,
+) -> FramePose | Rejection:
+    """Return the pose near a (4, 4) guess that (M, 2) pairs (landmark id, feature) agree on."""
     measured = Observations.of(view.features, pairs[:, 1], the_map.camera)
     points_m = the_map.landmarks.positions_m[pairs[:, 0]]
     refined = refine_pose(T_map_cam, points_m, measured, the_map.camera)

@@ -63,6 +63,15 @@ class MotionModel:
         is_over = timestamp_s - self.last_s > _STILL_CLOSE_S
         return np.zeros(6) if is_over else self._step / max(self._step_s, shortest_s)
 
+    def velocity_to(
+        self, timestamp_s: float, T_odom_cam: FloatArray, shortest_s: float
+    ) -> FloatArray:
+        """Return the same of the step to a (4, 4) place, which `follow` was not told yet."""
+        step_s = timestamp_s - self.last_s
+        if step_s > _STILL_CLOSE_S:
+            return np.zeros(6)
+        return se3.log(se3.inverse(self.T_odom_last) @ T_odom_cam) / max(step_s, shortest_s)
+
     def is_cold(self, timestamp_s: float) -> bool:
         """Return whether nothing was known of the camera for so long that it may be anywhere."""
         usual_s = 0.0 if self.has_missed else _STILL_CLOSE_STEPS * self._step_s

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam.config import Config, VerificationConfig
 from slam.geometry import se3
-from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.features import FeatureExtractor, straightened
 from slam.geometry.relative_pose import (
     allow_for_turning,
@@ -16,11 +17,12 @@ from slam.geometry.relative_pose import (
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
 from slam.mapping.landmarks import UNSEEN
 from slam.mapping.local_map import LocalMap
-from slam.tracking.frame_pose import FramePose, View, agreed_pose, track_local_map
+from slam.tracking.frame_pose import FramePose, View, agreed_pose, refined_pose, track_local_map
 from slam.tracking.motion_model import MotionModel
 from slam.tracking.tracked_frame import TrackedFrame, new_keyframe
 from slam.types import (
     Camera,
+    Features,
     FloatArray,
     Frame,
     Keyframe,
@@ -74,24 +76,37 @@ class RgbdOdometry:
 
         A frame that shows enough, but nothing of what was seen last, begins a new segment.
         """
-        features = self._extractor.extract(frame)
+        seen = self._extractor.extract(frame)
         self.settle()
-        if self._models and (readout_s := self._camera.readout_s) > 0.0:
-            velocity = self._models[-1].velocity(frame.timestamp_s, shortest_s=readout_s)
-            features = straightened(features, self._camera, velocity)
-        view = View(frame, features, FeatureGrid(features, self._camera))
         if not self._models:
-            return self._start(view)
+            return self._start(View(frame, seen, self._camera))
+        velocity = self._models[-1].velocity(frame.timestamp_s, shortest_s=self._camera.readout_s)
+        view = View(frame, straightened(seen, self._camera, velocity), self._camera)
         frame_pose: FramePose | Rejection | None = None
         if not self._models[-1].is_cold(frame.timestamp_s):
             frame_pose = self._follow(view)
         if not isinstance(frame_pose, FramePose):
             frame_pose = self._relocalize(view)
         if isinstance(frame_pose, FramePose):
-            return self._go_on(view, frame_pose)
+            return self._go_on(*self._straightened_again(view, seen, frame_pose))
         for model in self._models:
             model.has_missed = True
         return self._start(view) if view.with_depth >= self._worth_a_segment else frame_pose
+
+    def _straightened_again(
+        self, view: View, seen: Features, frame_pose: FramePose
+    ) -> tuple[View, FramePose]:
+        """Return view and pose by the features as seen, straightened by how the camera moves now.
+
+        Until its pose was known, all that was known is how the camera moved before.
+        """
+        T_map_cam, readout_s = frame_pose.T_map_cam, self._camera.readout_s
+        if readout_s == 0.0:
+            return view, frame_pose
+        velocity = self._models[-1].velocity_to(view.frame.timestamp_s, T_map_cam, readout_s)
+        again = replace(view, features=straightened(seen, self._camera, velocity))
+        refined = refined_pose(self.map, again, T_map_cam, frame_pose.pairs, self._tracking_config)
+        return (again, refined) if isinstance(refined, FramePose) else (view, frame_pose)
 
     def settle(self) -> None:
         """Adjust the map to the last keyframe, and go on from where that puts it."""

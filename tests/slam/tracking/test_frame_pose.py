@@ -31,7 +31,7 @@ def the_map(scene):
 def view(scene):
     """Return what the third camera sees."""
     blank = Frame(0.0, np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32))
-    return View(blank, scene.features[2], FeatureGrid(scene.features[2], scene.camera))
+    return View(blank, scene.features[2], scene.camera)
 
 
 def test_features_with_depth_are_counted(view):

@@ -72,3 +72,12 @@ def test_a_quarter_of_a_second_is_not_yet_too_long():
     model.follow(10.0, se3.exp(STEP))
     assert model.is_followed
     np.testing.assert_allclose(model.velocity(10.25, 0.03), STEP / 0.5, atol=1e-12)
+
+
+def test_velocity_to_a_place_is_that_of_the_step_there(model):
+    step = np.array([0.0, 0.02, 0.0, 0.01, 0.0, 0.0])
+    T_odom_next, next_s = model.T_odom_last @ se3.exp(step), model.last_s + 0.05
+    np.testing.assert_allclose(model.velocity_to(next_s, T_odom_next, 0.01), step / 0.05, atol=1e-9)
+    np.testing.assert_allclose(model.velocity_to(next_s, T_odom_next, 0.1), step / 0.1, atol=1e-9)
+    late_s = model.last_s + 0.3
+    np.testing.assert_array_equal(model.velocity_to(late_s, T_odom_next, 0.01), np.zeros(6))
