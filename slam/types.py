@@ -30,6 +30,7 @@ class Camera:
         distortion: k1, k2, p1, p2, k3 of OpenCV's (Brown-Conrady) model; zeros for none.
         depth_scale: depth image units per metre (5000 in the TUM RGB-D benchmark).
         readout_s: between the first row's exposure and the last's; 0 for a global shutter.
+        depth_noise_m: standard deviation of the depth at 1 m; it grows with the square of depth.
     """
 
     width: int
@@ -41,6 +42,7 @@ class Camera:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     depth_scale: float = 5000.0
     readout_s: float = 0.0
+    depth_noise_m: float = 0.0025
 
     @property
     def matrix(self) -> FloatArray:

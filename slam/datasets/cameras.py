@@ -47,6 +47,7 @@ class _CameraTable(BaseModel):
     distortion: Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=5)] = (0.0,) * 5
     depth_scale: PositiveFloat
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    depth_noise_m: PositiveFloat = Camera.depth_noise_m
 
 
 def named_camera(folder: Path, config: InputConfig) -> Camera | None:
@@ -78,7 +79,8 @@ def freiburg_camera(folder: Path) -> Camera:
         f" fr3; put a {CAMERA_FILE} into it, or give --input.camera FILE.toml, with the keys width,"
         " height, fx, fy, cx, cy (pixels), depth_scale (depth image units per metre) and, if the"
         " lens distorts, distortion = [k1, k2, p1, p2, k3]; for a rolling shutter, readout_s, the"
-        f" seconds from the first row to the last: {folder}"
+        " seconds from the first row to the last; for a sensor that is no Kinect, depth_noise_m,"
+        f" the standard deviation of its depth at 1 m: {folder}"
     )
 
 

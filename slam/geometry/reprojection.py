@@ -16,9 +16,11 @@ from slam.types import Camera, Features, FloatArray
 
 _PIXEL_SIGMA_PX = 1.0  # on the finest pyramid level
 _BASELINE_M = 0.075  # of the Kinect
-# Far more than the sensor's own: depth is read at an edge more often than not, and the two images
-# are not of one instant. The coarser the feature, the further off may be where it is read.
-_INVERSE_DEPTH_SIGMA = 0.025  # 1/m, on the finest pyramid level: 25 mm at 1 m, 10 cm at 2 m
+# A feature's depth is this many times less certain than the sensor's: it is read at an edge more
+# often than not, and the two images are not of one instant. The coarser the feature, the further
+# off may be where it is read; this is on the finest pyramid level: 25 mm at 1 m, 10 cm at 2 m, for
+# a Kinect.
+_AT_EDGES = 10.0
 
 _LIMIT = 5.991**0.5  # 95 % of the pixels that are what they claim are closer: chi-square of two
 _HUBER = 1.345  # whitened length from which a pixel's pull stops growing
@@ -43,7 +45,8 @@ class Observations:
         disparity_px = _BASELINE_M * camera.fx / features.depth_m[index]
         coarseness = PYRAMID_SCALE ** features.octaves[index]
         pixel_sigma = _PIXEL_SIGMA_PX * coarseness
-        disparity_sigma = _INVERSE_DEPTH_SIGMA * _BASELINE_M * camera.fx * coarseness
+        inverse_depth_sigma = _AT_EDGES * camera.depth_noise_m  # 1/m
+        disparity_sigma = inverse_depth_sigma * _BASELINE_M * camera.fx * coarseness
         return Observations(
             seen=np.column_stack([features.undistorted_px[index], disparity_px]),
             sigma=np.column_stack([pixel_sigma, pixel_sigma, disparity_sigma]),

@@ -27,7 +27,8 @@ def write(path: Path, **changes: str | None) -> Path:
 
 
 def test_a_written_camera_is_read_back_exactly(tmp_path: Path) -> None:
-    camera = Camera(640, 480, 517.3, 1 / 3, 318.6, 255.3, (0.1, -1e-7, 0.0, 2.5, 1e-20), 1000.0)
+    lens = (0.1, -1e-7, 0.0, 2.5, 1e-20)
+    camera = Camera(640, 480, 517.3, 1 / 3, 318.6, 255.3, lens, 1000.0, 0.02, 1 / 700)
     write_camera(tmp_path / "camera.toml", camera)
     assert read_camera(tmp_path / "camera.toml") == camera
     assert [path.name for path in tmp_path.iterdir()] == ["camera.toml"]
@@ -38,6 +39,10 @@ def test_distortion_may_be_left_out_or_have_four_numbers(tmp_path: Path) -> None
     assert read_camera(write(path)).distortion == (0.0,) * 5
     four = read_camera(write(path, distortion="[0.1, 0.2, 0.3, 0.4]"))
     assert four.distortion == (0.1, 0.2, 0.3, 0.4, 0.0)
+
+
+def test_a_camera_whose_depth_noise_is_not_told_has_a_kinects(tmp_path: Path) -> None:
+    assert read_camera(write(tmp_path / "camera.toml")).depth_noise_m == 0.0025
 
 
 @pytest.mark.parametrize(
@@ -52,6 +57,7 @@ def test_distortion_may_be_left_out_or_have_four_numbers(tmp_path: Path) -> None
         ({"cx": "640"}, "cx, cy = 640, 240 lie outside the image of 640x480"),
         ({"cy": "-1"}, "cx, cy = 320, -1 lie outside"),
         ({"cx": "nan"}, "camera key cx = nan"),
+        ({"depth_noise_m": "0"}, "camera key depth_noise_m = 0"),
         ({"distortion": "[0.1, 0.2]"}, "camera key distortion"),
         ({"distortion": "[0, 0, 0, 0, 0, 0]"}, "camera key distortion"),
         ({"fx": '"wide"'}, "camera key fx = 'wide'"),

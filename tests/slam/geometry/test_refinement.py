@@ -38,7 +38,7 @@ def half_squares(views, T_ref_query):
         sigma_px = reprojection._PIXEL_SIGMA_PX * PYRAMID_SCALE ** (seen.octaves[index])
         pixel_residuals = (pixels - seen.undistorted_px[index]) / sigma_px[:, None]
         total += 0.5 * np.nansum(pixel_residuals**2)
-        disparity_sigma_px = reprojection._INVERSE_DEPTH_SIGMA * baseline_m * K[0, 0] * sigma_px
+        disparity_sigma_px = 10.0 * views.camera.depth_noise_m * baseline_m * K[0, 0] * sigma_px
         total += 0.5 * np.nansum((disparity / disparity_sigma_px) ** 2)
     return total
 

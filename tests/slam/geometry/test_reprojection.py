@@ -39,6 +39,17 @@ def test_an_unknown_depth_says_nothing_and_coarse_levels_say_less(make_views):
     np.testing.assert_allclose(residuals[:, 0], expected_px / 1.2**octaves)
 
 
+def test_depth_is_believed_as_far_as_its_sensor_is_good(make_views):
+    views = make_views(np.eye(4), 20)
+    index = np.arange(20)
+    usual = Observations.of(views.reference, index, views.camera)
+    finer = Observations.of(views.reference, index, replace(views.camera, depth_noise_m=0.00025))
+    np.testing.assert_array_equal(finer.sigma[:, :2], usual.sigma[:, :2])
+    np.testing.assert_allclose(finer.sigma[:, 2], 0.1 * usual.sigma[:, 2])
+    # On the finest level 25 mm at 1 m, as a disparity of a 0.075 m baseline.
+    np.testing.assert_allclose(usual.sigma[:, 2], 0.025 * 0.075 * views.camera.fx)
+
+
 def test_points_elsewhere_or_behind_do_not_agree(make_views):
     views = make_views(np.eye(4), 20)
     measured = Observations.of(views.reference, np.arange(20), views.camera)
