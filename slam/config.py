@@ -63,8 +63,9 @@ class VerificationConfig(_Section):
     """Share of the matches that must agree."""
     min_support: _Fraction = 0.04
     """Share of the image that the inliers' bounding box must cover."""
-    max_uncertainty_m: PositiveFloat = 0.05
-    """Largest standard deviation of a loop's translation; it grows with the speed of turns."""
+    max_uncertainty: PositiveFloat = 0.2
+    """Largest standard deviation of a loop's translation, as a share of the depth of what is seen:
+    it says next to nothing beyond. Below, the pose graph weighs the loop by it."""
     max_descriptor_distance: Annotated[int, Field(ge=1, le=256)] = 64
     """Largest Hamming distance of two matching descriptors."""
     max_reprojection_px: PositiveFloat = 3.0

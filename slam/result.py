@@ -51,8 +51,11 @@ class SlamResult:
         camera: the camera it was run with.
         keyframes: the K keyframes in order of time.
         T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
-        odometry: every placed frame, by tracking alone (drifting); one motion joins two segments.
-        trajectory: the same, corrected. Both are smoothed where the camera was tracked here.
+        odometry: every placed frame, as it was tracked (drifting); one motion joins two segments.
+        live: the same, each corrected by the loops that were closed until then; without the frames
+            of a segment of which was not known yet where it lies.
+        without_loops: the same in the end, with all that is done to the map but loop closure.
+        trajectory: the same in the end, corrected.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
@@ -71,6 +74,8 @@ class SlamResult:
     keyframes: tuple[Keyframe, ...]
     T_world_kf: FloatArray
     odometry: Trajectory
+    live: Trajectory
+    without_loops: Trajectory
     trajectory: Trajectory
     links: tuple[Link, ...]
     attempts: tuple[LoopAttempt, ...]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
+from bisect import bisect_right
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +10,7 @@ import numpy as np
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.loops.atlas import in_one_odometry_frame
+from slam.loops.atlas import Correction, odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import adjust_with_loops, size_warning
@@ -101,32 +103,47 @@ class Slam:
     def _take(self, frame: Frame, tracked: TrackedFrame | Rejection) -> None:
         if isinstance(tracked, Rejection):
             self._frames.lose(frame.timestamp_s)
-        elif tracked.new_keyframe is None:
-            self._frames.add(frame.timestamp_s, tracked.keyframe_id, tracked.T_kf_cam)
-        else:
-            self._back_end.insert(tracked.new_keyframe, tracked.links, frame.rgb)
-            self._frames.add(frame.timestamp_s, tracked.new_keyframe.id, np.eye(4))
+            return
+        if tracked.new_keyframe:
+            self._back_end.insert(tracked.new_keyframe, tracked.links, tracked.moved, frame.rgb)
+        self._frames.add(frame.timestamp_s, tracked)
+
+    @property
+    def correction(self) -> Correction:
+        """The newest correction by loops, a snapshot that is there without waiting.
+
+        It comes from a thread beside tracking, some tenths of a second after the loops that it
+        knows of, and has a version. `correction.T_world_odom[segment] @ tracked.T_odom_cam` places
+        a frame in the corrected world; whoever needs poses without jumps keeps the correction that
+        the poses before were placed by.
+        """
+        return self._back_end.corrections[-1]
 
     def T_world_odom(self) -> FloatArray:
         """Return the (4, 4) correction as of now: from the odometry's frame to the world.
 
-        It solves the graph, which takes the longer the longer the run is, and no frame is tracked.
-
         Raises:
             SlamError: there is no keyframe yet, or nothing tells where the camera is since it was
                 lost or a session began.
-            RecognizerError: the recognizer failed on one of the last keyframes; what was done until
-                then can be finished.
         """
-        return self._back_end.T_world_odom(self._frames.per_keyframe())
+        segment = self._frames.segment
+        if segment is None:
+            raise SlamError("there is no keyframe yet that a correction could be known of")
+        T_world_odom = self.correction.T_world_odom.get(segment)
+        if T_world_odom is None:
+            raise SlamError(
+                "the camera was lost or began a new session, and so far no two loops agree where"
+                " the part of the map that it is in now lies to the largest; ask again later"
+            )
+        return T_world_odom
 
     def settle(self) -> None:
-        """Wait until all keyframes are taken in.
+        """Wait until all keyframes are taken in and `correction` knows of their loops.
 
         Raises:
             RecognizerError: the recognizer failed on one; what was done until then can be finished.
         """
-        self._back_end.settle()
+        self._back_end.catch_up()
 
     def finish(self) -> SlamResult:
         """Solve the graph with all loops, adjust the map to it, and return what the run found out.
@@ -149,29 +166,40 @@ class Slam:
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        loops = self._back_end.solve(self._frames.per_keyframe())
-        T_world_kf = loops.T_world_kf
-        unadjusted: tuple[str, ...] = ()
+        T_odom_kf: dict[int, FloatArray] = {}
         if self._front_end is self._odometry:
             self._odometry.settle()
-            the_map = self._odometry.map
-            keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
-                replace(each, T_odom_cam=the_map.keyframes[each.id].T_map_cam) for each in keyframes
-            )
+            T_odom_kf = {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
+        loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe())
+        keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
+            replace(each, T_odom_cam=T_odom_kf.get(each.id, each.T_odom_cam)) for each in keyframes
+        )
+        T_odom_segment = odometry_frames(keyframes, loops.links)
+        T_world_kf, T_world_kf_without = loops.T_world_kf, loops.T_world_kf_without
+        unadjusted: tuple[str, ...] = ()
+        if self._front_end is self._odometry:
             unadjusted = size_warning(len(keyframes))
             if not unadjusted:
                 with self.clock.stage("adjust"):
-                    T_world_kf = _adjusted(the_map, loops)
-        keyframes = in_one_odometry_frame(keyframes, loops.links)
-        has_place = np.isfinite(T_world_kf)
-        T_odom_kf = np.array([each.T_odom_cam for each in keyframes])
+                    T_world_kf, T_world_kf_without = _adjusted(self._odometry.map, loops)
+        corrections = self._back_end.corrections
+
+        def T_world_odom(segment: int, newest_id: int) -> FloatArray | None:
+            known = bisect_right(corrections, newest_id, key=lambda each: each.newest_id)
+            return corrections[known - 1].T_world_odom.get(segment)
+
         loop_closer = self._back_end.loop_closer
         calibration = loop_closer.calibration()
         return SlamResult(
             camera=self._camera,
-            keyframes=keyframes,
+            keyframes=tuple(
+                replace(each, T_odom_cam=T_odom_segment[each.segment] @ each.T_odom_cam)
+                for each in keyframes
+            ),
             T_world_kf=T_world_kf,
-            odometry=self._trajectory(np.where(has_place, T_odom_kf, np.nan)),
+            odometry=self._frames.live(T_world_kf, lambda segment, _: T_odom_segment[segment]),
+            live=self._frames.live(T_world_kf, T_world_odom),
+            without_loops=self._trajectory(T_world_kf_without),
             trajectory=self._trajectory(T_world_kf),
             links=loops.links,
             attempts=loops.attempts,
@@ -199,11 +227,22 @@ class Slam:
         return smoothed(trajectory, self._config.motion, self._session_starts_s)
 
 
-def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> FloatArray:
-    """Return the (K, 4, 4) poses to which the map brings the loops' solution, NaN as there."""
-    T_world_kf = loops.T_world_kf.copy()
-    placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0])).tolist()
+def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> tuple[FloatArray, FloatArray]:
+    """Return the (K, 4, 4) poses to which the map brings what it begins with, NaN as there.
+
+    That is the loops' solution, and the odometry's, which is adjusted in the same way but for
+    loops; the two do not wait for each other.
+    """
     pairs = [(each.match_id, each.query_id) for each in loops.attempts if each.rejection is None]
-    final = adjust_with_loops(the_map, placed, T_world_kf[placed], pairs)
-    T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
-    return T_world_kf
+    placed = np.flatnonzero(np.isfinite(loops.T_world_kf[:, 0, 0])).tolist()
+
+    def adjusted(T_start_kf: FloatArray, pairs: list[tuple[int, int]]) -> FloatArray:
+        T_world_kf = T_start_kf.copy()
+        final = adjust_with_loops(the_map, placed, T_start_kf[placed], pairs)
+        T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
+        return T_world_kf
+
+    with ThreadPoolExecutor(1, thread_name_prefix="without loops") as beside:
+        without = beside.submit(adjusted, loops.T_world_kf_without, [])
+        T_world_kf = adjusted(loops.T_world_kf, pairs) if pairs else without.result()
+        return T_world_kf, without.result()

@@ -118,7 +118,7 @@ class RejectionReason(StrEnum):
     FEW_INLIERS = "too few inliers of one rigid motion"
     LOW_INLIER_RATIO = "too small a share of the matches agree"
     NARROW_SUPPORT = "inliers cover too small a part of the image"
-    UNCERTAIN_MOTION = "the motion is too uncertain: weak geometry or views taken in a fast turn"
+    UNCERTAIN_MOTION = "the motion is too uncertain to say anything: weak geometry"
     OUTVOTED = "contradicts the rest of the pose graph"
     UNJOINED = "its part of the map was not joined to the rest"
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One estimator of the rigid motion between two views, for odometry and for loops alike."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +20,6 @@ from slam.types import (
 )
 
 _MIN_FOR_POSE = 6
-# What repeated views of one place disagree by however many features they share: depth distortion,
-# colour and depth taken at different instants, and, growing with the speed of the turn, the rolling
-# shutter. Measured on fr1_xyz (docs/findings.md) before its images were
-# straightened, so that it is too much by now; without it the graph would trust large sets of
-# inliers blindly.
-_ROTATION_FLOOR_RAD = 0.005
-_TRANSLATION_FLOOR_M = 0.006
-_ROTATION_PER_TURNING_S = 0.025
-_TRANSLATION_PER_TURNING_M_S = 0.025
 
 
 def estimate_relative_pose(
@@ -39,7 +28,8 @@ def estimate_relative_pose(
     """Return the motion `T_ref_query` between two views, or why there is none, with the evidence.
 
     Descriptors propose matches, PnP RANSAC finds the motion most of them agree on, and a robust
-    least-squares refinement over both views' pixels and depths polishes it.
+    least-squares refinement over both views' pixels and depths polishes it. Its information is that
+    of the matches alone; `loop_noise` adds what the camera's model leaves out.
     """
     pairs = match(reference, query, config.max_descriptor_distance)
     return measure_relative_pose(reference, query, pairs, camera, config)
@@ -86,7 +76,7 @@ def _outcome(
     if rejection:
         return rejection, inlier_mask
     refined = refine(T_ref_query, correspondences.select(inlier_mask), camera)
-    return with_floor(*refined), inlier_mask
+    return RelativePose(*refined), inlier_mask
 
 
 def pose_by_ransac(
@@ -128,27 +118,3 @@ def _rejection(
     if support < config.min_support:
         return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
     return None
-
-
-def with_floor(T_ref_query: FloatArray, hessian: FloatArray) -> RelativePose:
-    """Return the motion with a (6, 6) Hessian for information, less what repeats differ by."""
-    return RelativePose(T_ref_query, _add_noise(hessian, _ROTATION_FLOOR_RAD, _TRANSLATION_FLOOR_M))
-
-
-def allow_for_turning(motion: RelativePose, *turning_rad_s: float) -> RelativePose:
-    """Return the motion with less information, as much as the turning of its two cameras costs."""
-    turning = float(np.linalg.norm(turning_rad_s))
-    rotation_rad = _ROTATION_PER_TURNING_S * turning
-    translation_m = _TRANSLATION_PER_TURNING_M_S * turning
-    return replace(motion, information=_add_noise(motion.information, rotation_rad, translation_m))
-
-
-def translation_sigma_m(motion: RelativePose) -> float:
-    """Return the standard deviation of a motion's translation, metres, all directions together."""
-    return float(np.sqrt(np.trace(np.linalg.inv(motion.information)[3:, 3:])))
-
-
-def _add_noise(information: FloatArray, rotation_rad: float, translation_m: float) -> FloatArray:
-    noise = np.diag([rotation_rad**2] * 3 + [translation_m**2] * 3)
-    total = np.linalg.inv(np.linalg.inv(information) + noise)
-    return np.asarray(0.5 * (total + total.T))

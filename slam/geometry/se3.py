@@ -37,8 +37,8 @@ def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
 
 
 def skew(v: FloatArray) -> FloatArray:
-    """Return the (3, 3) matrix of the cross product with a (3,) vector, (N, 3, 3) of (N, 3)."""
-    x, y, z = v.T
+    """Return the (..., 3, 3) matrices of the cross product with (..., 3) vectors."""
+    x, y, z = np.moveaxis(v, -1, 0)
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
     matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
@@ -46,34 +46,56 @@ def skew(v: FloatArray) -> FloatArray:
 
 
 def exp(tangent: FloatArray) -> FloatArray:
-    """Return the (4, 4) transform of a (6,) tangent [rotation rad; translation m]."""
-    omega, v = tangent[:3], tangent[3:]
-    angle = float(np.linalg.norm(omega))
+    """Return the (..., 4, 4) transforms of (..., 6) tangents [rotation rad; translation m]."""
+    omega, v = tangent[..., :3], tangent[..., 3:]
+    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
     W = skew(omega)
-    if angle < _SMALL_ANGLE_RAD:
-        return from_rotation_translation(np.eye(3) + W, v + 0.5 * W @ v)
-    a = np.sin(angle) / angle
-    b = 2.0 * np.sin(0.5 * angle) ** 2 / angle**2  # (1 - cos) / angle^2 without cancellation
-    c = (angle - np.sin(angle)) / angle**3
-    rotation = np.eye(3) + a * W + b * W @ W
-    return from_rotation_translation(rotation, (np.eye(3) + b * W + c * W @ W) @ v)
+    # Both series' first terms are all that is left of them where the angle is small.
+    is_small = angle < _SMALL_ANGLE_RAD
+    safe = np.where(is_small, 1.0, angle)
+    a = np.where(is_small, 1.0, np.sin(safe) / safe)
+    b = np.where(is_small, 0.5, 2.0 * np.sin(0.5 * safe) ** 2 / safe**2)  # without cancellation
+    c = np.where(is_small, 0.0, (safe - np.sin(safe)) / safe**3)
+    T_a_b = np.zeros((*tangent.shape[:-1], 4, 4))
+    T_a_b[..., :3, :3] = np.eye(3) + a * W + b * W @ W
+    T_a_b[..., :3, 3] = ((np.eye(3) + b * W + c * W @ W) @ v[..., None])[..., 0]
+    T_a_b[..., 3, 3] = 1.0
+    return T_a_b
 
 
 def log(T_a_b: FloatArray) -> FloatArray:
-    """Return the (6,) tangent [rotation rad; translation m] of a (4, 4) transform."""
+    """Return the (..., 6) tangents [rotation rad; translation m] of (..., 4, 4) transforms."""
     # Through the quaternion: stays accurate near 180 degrees, where the trace formula does not.
-    x, y, z, w = to_quaternion(T_a_b[:3, :3])
-    vector = np.array([x, y, z])
-    length = float(np.linalg.norm(vector))
+    quaternion = to_quaternion(T_a_b[..., :3, :3])
+    vector, w = quaternion[..., :3], quaternion[..., 3:]
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
     is_small = length < _SMALL_ANGLE_RAD
-    omega = 2.0 * vector / w if is_small else 2.0 * np.arctan2(length, w) / length * vector
-    angle = float(np.linalg.norm(omega))
+    safe = np.where(is_small, 1.0, length)
+    omega = vector * np.where(is_small, 2.0, 2.0 * np.arctan2(safe, w) / safe)
+    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
     W = skew(omega)
-    if angle < _SMALL_ANGLE_RAD:
-        return np.concatenate([omega, T_a_b[:3, 3] - 0.5 * W @ T_a_b[:3, 3]])
-    c = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle) + 1e-300)
-    V_inverse = np.eye(3) - 0.5 * W + c * W @ W
-    return np.concatenate([omega, V_inverse @ T_a_b[:3, 3]])
+    safe = np.where(angle < _SMALL_ANGLE_RAD, 1.0, angle)
+    c = 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe) + 1e-300)
+    V_inverse = np.eye(3) - 0.5 * W + np.where(angle < _SMALL_ANGLE_RAD, 0.0, c) * W @ W
+    t = T_a_b[..., :3, 3:]
+    return np.concatenate([omega, (V_inverse @ t)[..., 0]], axis=-1)
+
+
+def adjoint(T_a_b: FloatArray) -> FloatArray:
+    """Return the (..., 6, 6) matrices that take tangents in frame b to tangents in frame a."""
+    matrix = np.zeros((*T_a_b.shape[:-2], 6, 6))
+    R = T_a_b[..., :3, :3]
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = R
+    matrix[..., 3:, :3] = skew(T_a_b[..., :3, 3]) @ R
+    return matrix
+
+
+def small_adjoint(tangent: FloatArray) -> FloatArray:
+    """Return the (..., 6, 6) matrices of the Lie bracket with (..., 6) tangents."""
+    matrix = np.zeros((*tangent.shape, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(tangent[..., :3])
+    matrix[..., 3:, :3] = skew(tangent[..., 3:])
+    return matrix
 
 
 def rotation_angle(T_a_b: FloatArray) -> FloatArray:
@@ -93,19 +115,20 @@ def translation_norm(T_a_b: FloatArray) -> FloatArray:
 
 
 def to_quaternion(rotation: FloatArray) -> FloatArray:
-    """Return the (4,) unit quaternion x y z w, w >= 0, of a (3, 3) rotation."""
+    """Return the (..., 4) unit quaternions x y z w, w >= 0, of (..., 3, 3) rotations."""
     # Shepperd's method: the eigenvector of the largest eigenvalue of K is the quaternion.
-    R = rotation
+    R = np.moveaxis(rotation, (-2, -1), (0, 1))
+    zero = np.zeros_like(R[0, 0])
     K = np.array(
         [
-            [R[0, 0] - R[1, 1] - R[2, 2], 0.0, 0.0, 0.0],
-            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0.0, 0.0],
-            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0.0],
+            [R[0, 0] - R[1, 1] - R[2, 2], zero, zero, zero],
+            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], zero, zero],
+            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], zero],
             [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)],
         ]
     )
-    quaternion = np.asarray(np.linalg.eigh(K)[1][:, -1], dtype=np.float64)
-    return quaternion if quaternion[3] >= 0.0 else -quaternion
+    quaternion = np.asarray(np.linalg.eigh(np.moveaxis(K, (0, 1), (-2, -1)))[1][..., -1])
+    return np.where(quaternion[..., 3:] >= 0.0, quaternion, -quaternion)
 
 
 def from_quaternion(quaternion_xyzw: FloatArray) -> FloatArray:

@@ -1,123 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole map: segments, and the submaps that loops join them to."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.config import GraphConfig
 from slam.geometry import se3
 from slam.loops.submaps import Submap, joined, submap_of
-from slam.pose_graph import PoseGraph
-from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose, SlamError
+from slam.pose_graph import GraphSolution, PoseGraph
+from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
 
 
 @dataclass(frozen=True)
-class AtlasSolution:
-    """The largest submap, solved, and what is not in it.
+class Correction:
+    """What loops made of the keyframes at some moment of a run; it never changes.
 
     Attributes:
-        T_world_kf: (K, 4, 4), NaN for the keyframes of other submaps.
-        weights: trust per loop key, 0 (ignored) to 1.
-        links: its motions that are no loops, those that join its segments among them.
-        unjoined: per key of a loop in or to another submap, how many loops agree where that lies.
-        warnings: one sentence each.
+        version: how many corrections came before it.
+        newest_id: the newest keyframe that it knows of, -1 for none.
+        T_world_kf: (4, 4) by keyframe id; those are missing that are not joined to the largest part
+            of the map.
+        T_world_odom: (4, 4) by segment, what corrects the odometry where it is now.
     """
 
-    T_world_kf: FloatArray
-    weights: dict[int, float]
-    links: tuple[Link, ...]
+    version: int
+    newest_id: int
+    T_world_kf: Mapping[int, FloatArray]
+    T_world_odom: Mapping[int, FloatArray]
+
+
+@dataclass(frozen=True)
+class LargestSubmap:
+    """The part of the map with the most frames, ready to be solved.
+
+    Attributes:
+        graph: its keyframes, links and loops.
+        unjoined: per key of a loop in or to another submap, how many places agree where that lies.
+        T_odom_kf: (4, 4) by keyframe id, what the odometry had made of its keyframes then.
+        segment_of: by keyframe id.
+    """
+
+    graph: PoseGraph
     unjoined: dict[int, int]
-    warnings: tuple[str, ...]
+    T_odom_kf: dict[int, FloatArray]
+    segment_of: dict[int, int]
+
+    def correction(self, version: int, newest_id: int, solution: GraphSolution) -> Correction:
+        """Return what a solution of the graph says of the odometry."""
+        newest_of = {self.segment_of[k]: k for k in sorted(solution.T_world_kf)}
+        T_world_odom = {
+            segment: solution.T_world_kf[k] @ se3.inverse(self.T_odom_kf[k])
+            for segment, k in newest_of.items()
+        }
+        return Correction(version, newest_id, solution.T_world_kf, T_world_odom)
 
 
 class Atlas:
     """Keyframes and motions, sorted into submaps that motions connect.
 
-    Every segment has a pose graph of its own. When the map is solved, segments that loops join get
-    one graph together, in which the loops between them are doubted as any other loop is.
+    Links say how well the odometry knows the motion between two keyframes; what that motion is,
+    follows from where the odometry has them now. So the graph never contradicts the map. Segments
+    that loops join get one graph together, in which the loops between them are doubted as any other
+    loop is.
     """
 
-    def __init__(self, config: GraphConfig) -> None:
-        self._config = config
-        self._graphs = defaultdict[int, PoseGraph](lambda: PoseGraph(config))  # by segment
+    def __init__(self) -> None:
         self._keyframes: list[Keyframe] = []
+        self._T_odom_kf: list[FloatArray] = []
         self._links: list[Link] = []
         self._loops: dict[int, Link] = {}
+
+    @property
+    def loops(self) -> int:
+        """How many loops there are."""
+        return len(self._loops)
 
     def add(
         self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]
     ) -> None:
-        """Add the next keyframe, its motions to others of its segment, and its loops by key."""
-        graph = self._graphs[keyframe.segment]
-        T_world_kf = np.eye(4)
-        if links:
-            T_world_kf = graph.T_world_kf(links[0].ref_id) @ links[0].motion.T_ref_query
-        graph.add_keyframe(keyframe.id, T_world_kf)
+        """Add the next keyframe, its links to others of its segment, and its loops by key."""
         self._keyframes.append(keyframe)
-        for link in links:
-            graph.add_link(link)
+        self._T_odom_kf.append(keyframe.T_odom_cam)
         self._links.extend(links)
         for key, attempt in attempts.items():
             if isinstance(attempt.outcome, RelativePose):
-                loop = Link(attempt.match_id, attempt.query_id, attempt.outcome)
-                self._loops[key] = loop
-                if self._keyframes[loop.ref_id].segment == keyframe.segment:
-                    graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
+                self._loops[key] = Link(attempt.match_id, attempt.query_id, attempt.outcome)
 
-    def finish(self, frames: Mapping[int, int] | None = None) -> AtlasSolution:
-        """Solve the submap with the most frames per keyframe id, the earlier of equals."""
+    def move(self, T_odom_kf: Mapping[int, FloatArray]) -> None:
+        """Take (4, 4) poses by keyframe id for where the odometry has these keyframes now."""
+        for k, T in T_odom_kf.items():
+            self._T_odom_kf[k] = T
+
+    def largest(self, frames: Mapping[int, int] | None = None) -> LargestSubmap:
+        """Return the submap with the most frames per keyframe id, the earlier of equals.
+
+        Default: one frame of each.
+        """
         submaps = self._submaps()
         largest = max(submaps, key=lambda submap: submap.size(frames))
-        solution = self._graph(largest).finish()
-        T_world_kf = np.full((len(self._keyframes), 4, 4), np.nan)
-        T_world_kf[list(largest.T_submap_kf)] = solution.T_world_kf
-        links, unjoined = tuple(largest.links), self._unjoined(submaps, largest)
-        return AtlasSolution(T_world_kf, solution.weights, links, unjoined, solution.warnings)
-
-    def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
-        """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
-
-        Raises:
-            SlamError: there is no keyframe yet, or it is not in the submap with the most frames.
-        """
-        if not self._keyframes:
-            raise SlamError("there is no keyframe yet that a correction could be known of")
-        newest = self._keyframes[-1]
-        largest = max(self._submaps(), key=lambda submap: submap.size(frames))
-        if newest.id not in largest.T_submap_kf:
-            raise SlamError(
-                "the camera was lost or began a new session, and so far no two loops agree where"
-                " the part of the map that it is in now lies to the largest; ask again later"
-            )
-        graph = self._graph(largest)
-        graph.update()
-        return graph.T_world_kf(newest.id) @ se3.inverse(newest.T_odom_cam)
+        T_world_submap = se3.inverse(largest.T_submap_kf[largest.first])
+        loops = {
+            key: loop
+            for key, loop in self._loops.items()
+            if loop.ref_id in largest.T_submap_kf and loop.query_id in largest.T_submap_kf
+        }
+        graph = PoseGraph(
+            {k: T_world_submap @ T for k, T in largest.T_submap_kf.items()},
+            tuple(largest.links),
+            _shared_out(loops),
+        )
+        return LargestSubmap(
+            graph,
+            self._unjoined(submaps, largest),
+            {k: self._T_odom_kf[k] for k in largest.T_submap_kf},
+            {k: self._keyframes[k].segment for k in largest.T_submap_kf},
+        )
 
     def _submaps(self) -> list[Submap]:
-        submaps = {segment: Submap({}, []) for segment in self._graphs}
+        submaps: dict[int, Submap] = {}
         for keyframe in self._keyframes:
-            submaps[keyframe.segment].T_submap_kf[keyframe.id] = keyframe.T_odom_cam
+            submap = submaps.setdefault(keyframe.segment, Submap({}, []))
+            submap.T_submap_kf[keyframe.id] = self._T_odom_kf[keyframe.id]
         for link in self._links:
-            submaps[self._keyframes[link.ref_id].segment].links.append(link)
+            T_odom_ref, T_odom_query = (self._T_odom_kf[k] for k in (link.ref_id, link.query_id))
+            motion = replace(link.motion, T_ref_query=se3.inverse(T_odom_ref) @ T_odom_query)
+            segment = self._keyframes[link.ref_id].segment
+            submaps[segment].links.append(replace(link, motion=motion))
         return joined(list(submaps.values()), self._loops.values())
-
-    def _graph(self, submap: Submap) -> PoseGraph:
-        segments = {self._keyframes[k].segment for k in submap.T_submap_kf}
-        if len(segments) == 1:
-            return self._graphs[segments.pop()]
-        graph = PoseGraph(self._config)
-        T_world_submap = se3.inverse(submap.T_submap_kf[submap.first])
-        for k, T_submap_kf in submap.T_submap_kf.items():
-            graph.add_keyframe(k, T_world_submap @ T_submap_kf)
-        for link in submap.links:
-            graph.add_link(link)
-        for key, loop in self._loops.items():
-            if loop.ref_id in submap.T_submap_kf and loop.query_id in submap.T_submap_kf:
-                graph.add_loop(key, loop.ref_id, loop.query_id, loop.motion)
-        return graph
 
     def _unjoined(self, submaps: Sequence[Submap], largest: Submap) -> dict[int, int]:
         """Return, per loop not within the largest, how many loops join its submap to that."""
@@ -131,10 +142,23 @@ class Atlas:
         return {key: int(bool(pair & near)) for key, pair in pairs.items() if pair != {home}}
 
 
-def in_one_odometry_frame(
-    keyframes: Sequence[Keyframe], links: Sequence[Link]
-) -> tuple[Keyframe, ...]:
-    """Return keyframes whose T_odom_cam are those of one odometry, where links join their segments.
+def _shared_out(loops: Mapping[int, Link]) -> dict[int, Link]:
+    """Return the loops with as much information per query as one of them has.
+
+    What bends the query's image is in all of its loops: they repeat its error, not correct it.
+    """
+    count = Counter(loop.query_id for loop in loops.values())
+    return {
+        key: replace(
+            loop,
+            motion=replace(loop.motion, information=loop.motion.information / count[loop.query_id]),
+        )
+        for key, loop in loops.items()
+    }
+
+
+def odometry_frames(keyframes: Sequence[Keyframe], links: Sequence[Link]) -> dict[int, FloatArray]:
+    """Return (4, 4) T_odom_segment by segment: all odometries as one, where links join segments.
 
     A segment that no link leads to stays where it is.
     """
@@ -144,17 +168,12 @@ def in_one_odometry_frame(
         if above != segment:
             below[above].append(link)
     not_first = {keyframes[join.query_id].segment for joins in below.values() for join in joins}
-    T_odom_segment = {each: np.eye(4) for each in below if each not in not_first}
-    todo = list(T_odom_segment)
+    T_odom_segment = {each.segment: np.eye(4) for each in keyframes}
+    todo = [each for each in below if each not in not_first]
     for above in todo:
         for join in below[above]:
             ref, first = keyframes[join.ref_id], keyframes[join.query_id]
             T_odom_first = T_odom_segment[above] @ ref.T_odom_cam @ join.motion.T_ref_query
             T_odom_segment[first.segment] = T_odom_first @ se3.inverse(first.T_odom_cam)
             todo.append(first.segment)
-    return tuple(
-        replace(each, T_odom_cam=T_odom_segment[each.segment] @ each.T_odom_cam)
-        if each.segment in not_first
-        else each
-        for each in keyframes
-    )
+    return T_odom_segment

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places, loops and the pose graph, one keyframe at a time, in a thread beside tracking."""
 
-from collections import deque
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.loops.atlas import Atlas
+from slam.loops.atlas import Atlas, Correction, LargestSubmap
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.submaps import NEEDED_LOOPS
+from slam.pose_graph import solve, solve_beside
 from slam.stage_clock import StageClock
 from slam.types import (
     MIN_TRUSTED_WEIGHT,
@@ -28,6 +29,9 @@ from slam.types import (
 )
 
 _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and then fewer
+# On the way, loops wait until there are this many more of them than the last correction knew: the
+# total cost then grows with the logarithm of their number.
+_LOOP_GROWTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -36,12 +40,15 @@ class ClosedLoops:
 
     Attributes:
         T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's submap to the largest.
+        T_world_kf_without: (K, 4, 4), the same by the odometry alone, whose segments are laid
+            where loops join them.
         attempts: every loop candidate, with its final weight.
         links: the motions that are no loops, of the keyframes that have a place.
         warnings: one sentence each.
     """
 
     T_world_kf: FloatArray
+    T_world_kf_without: FloatArray
     attempts: tuple[LoopAttempt, ...]
     links: tuple[Link, ...]
     warnings: tuple[str, ...]
@@ -51,33 +58,45 @@ class BackEnd:
     """Describes each keyframe's place, closes its loops and constrains the graph, in a thread.
 
     Tracking needs none of the answers and waits only where the queue of keyframes is full. So the
-    work cannot pile up, and results do not depend on which thread was faster. The graph is solved
-    only when somebody asks, since each solve takes longer than the one before.
+    work cannot pile up, and results do not depend on which thread was faster. Corrections on the
+    way are solved in a second thread, whenever enough new loops came, and nobody waits for them.
 
     Attributes:
         keyframes: those that were taken in completely.
         loop_closer: what finds their loops; to be asked once the queue is empty.
+        corrections: one after the other, as they came.
     """
 
     def __init__(
         self, camera: Camera, recognizer: PlaceRecognizer, config: Config, clock: StageClock
     ) -> None:
         self.loop_closer = LoopCloser(camera, recognizer, config.loop, config.verification)
-        self._atlas = Atlas(config.graph)
+        self._inlier_probability = config.graph.inlier_probability
+        self._atlas = Atlas()
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
+        self._solver = ThreadPoolExecutor(1, thread_name_prefix="corrections")
+        self._solved_loops = 0
+        self._solving: list[Future[None]] = []
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: RecognizerError | None = None  # nothing after it is taken in
         self._attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
+        self.corrections = [Correction(0, -1, {}, {0: np.eye(4)})]
 
     @property
     def is_empty(self) -> bool:
         """Whether no keyframe was taken in and none is being worked on."""
         return not self.keyframes and not self._queue
 
-    def insert(self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]) -> None:
-        """Queue a keyframe, waiting for the oldest one where the queue is full.
+    def insert(
+        self,
+        keyframe: Keyframe,
+        links: tuple[Link, ...],
+        moved: Mapping[int, FloatArray],
+        rgb: NDArray[np.uint8],
+    ) -> None:
+        """Queue a keyframe, and where others were moved to; wait for the oldest of a full queue.
 
         Raises:
             RecognizerError: the recognizer failed on one before; those until then are in the graph.
@@ -85,7 +104,7 @@ class BackEnd:
         if len(self._queue) == _MAX_QUEUED:
             self._next_result()
         # A copy: cameras reuse their memory.
-        self._queue.append(self._thread.submit(self._take, keyframe, links, rgb.copy()))
+        self._queue.append(self._thread.submit(self._take, keyframe, links, moved, rgb.copy()))
 
     def settle(self) -> tuple[LoopAttempt, ...]:
         """Wait for all queued keyframes and return the loop candidates of the last one.
@@ -98,35 +117,43 @@ class BackEnd:
             attempts = self._next_result()
         return attempts
 
-    def T_world_odom(self, frames: Mapping[int, int] | None = None) -> FloatArray:
-        """Return the (4, 4) correction of the odometry at the newest keyframe, as of now.
-
-        Frames are counted as for `solve`.
+    def catch_up(self) -> None:
+        """Wait for the corrections by all loops that were closed so far.
 
         Raises:
-            SlamError: there is no keyframe yet, or its submap is not joined to the rest.
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
-        with self._clock.stage("graph"):
-            return self._atlas.T_world_odom(frames)
+        while self._solving:
+            self._solving.pop(0).result()
 
-    def solve(self, frames: Mapping[int, int] | None = None) -> ClosedLoops:
+    def solve(
+        self, T_odom_kf: Mapping[int, FloatArray], frames: Mapping[int, int] | None = None
+    ) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
 
-        The largest submap is that with the most frames per keyframe id; default: one of each.
+        T_odom_kf has the (4, 4) poses, by keyframe id, that the odometry still changed. The largest
+        submap is that with the most frames per keyframe id; default: one of each.
 
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
-        self.settle()
+        self.catch_up()
         with self._clock.stage("graph"):
-            solution = self._atlas.finish(frames)
+            self._atlas.move(T_odom_kf)
+            largest = self._atlas.largest(frames)
+            solution = solve(largest.graph, self._inlier_probability)
         attempts = tuple(
-            _in_the_end(attempt, solution.weights.get(key), solution.unjoined.get(key))
+            _in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
             for key, attempt in enumerate(self._attempts)
         )
-        return ClosedLoops(solution.T_world_kf, attempts, solution.links, solution.warnings)
+        T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)
+        T_start_kf = T_world_kf.copy()
+        for k, T in solution.T_world_kf.items():
+            T_world_kf[k], T_start_kf[k] = T, largest.graph.T_world_kf[k]
+        links = tuple(largest.graph.links)
+        warnings = (*solution.warnings, *refusals(attempts))
+        return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes are, -1 to 1."""
@@ -140,7 +167,11 @@ class BackEnd:
             raise
 
     def _take(
-        self, keyframe: Keyframe, links: tuple[Link, ...], rgb: NDArray[np.uint8]
+        self,
+        keyframe: Keyframe,
+        links: tuple[Link, ...],
+        moved: Mapping[int, FloatArray],
+        rgb: NDArray[np.uint8],
     ) -> tuple[LoopAttempt, ...]:
         if self._failure:
             raise self._failure
@@ -153,11 +184,33 @@ class BackEnd:
         except RecognizerError as failure:
             self._failure = failure
             raise
-        with self._clock.stage("graph"):
-            self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
+        self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
+        self._atlas.move(moved)
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
+        if self._atlas.loops - self._solved_loops > _LOOP_GROWTH * self._solved_loops:
+            self._solved_loops = self._atlas.loops
+            largest = self._atlas.largest()
+            self._solving.append(self._solver.submit(self._correct, keyframe.id, largest))
         return attempts
+
+    def _correct(self, newest_id: int, largest: LargestSubmap) -> None:
+        with self._clock.stage("correct"):
+            solution = solve_beside(largest.graph, self._inlier_probability)
+        self.corrections.append(largest.correction(len(self.corrections), newest_id, solution))
+
+
+def refusals(attempts: Sequence[LoopAttempt]) -> tuple[str, ...]:
+    """Return a sentence if one reason refused more than half of the verified loops."""
+    verified = [each for each in attempts if each.motion is not None]
+    reasons = Counter(each.rejection.reason for each in verified if each.rejection)
+    for reason, count in reasons.most_common(1):
+        if 2 * count > len(verified):
+            return (
+                f"{count} of {len(verified)} loops that geometry verified are not in use, all for"
+                f" one reason: {reason}",
+            )
+    return ()
 
 
 def _in_the_end(attempt: LoopAttempt, weight: float | None, agreeing: int | None) -> LoopAttempt:

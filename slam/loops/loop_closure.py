@@ -11,11 +11,8 @@ from placerec.checked_recognizer import CheckedRecognizer
 from placerec.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
-from slam.geometry.relative_pose import (
-    allow_for_turning,
-    estimate_relative_pose,
-    translation_sigma_m,
-)
+from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
+from slam.geometry.relative_pose import estimate_relative_pose
 from slam.result import Calibration
 from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
 
@@ -54,9 +51,9 @@ class LoopCloser:
     ) -> tuple[LoopAttempt, ...]:
         """Remember a keyframe and return what became of every earlier one that resembles it.
 
-        The motions from keyframes with linked_ids are known already: however long ago they were
-        seen, a camera that stood still closes no loop. Of another segment every keyframe is a
-        candidate, for nothing else tells where that lies.
+        The motions from keyframes with linked_ids are known already: a camera that stood still
+        closes no loop with what it saw before, however long ago that was. Of another segment every
+        keyframe is a candidate, for nothing else tells where that lies.
 
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
@@ -64,7 +61,8 @@ class LoopCloser:
         latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
         old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
         is_other = np.array([each.segment != keyframe.segment for each in self._keyframes], bool)
-        is_candidate = is_other | (np.arange(len(is_other)) < min([old_enough, *linked_ids]))
+        numbers = np.arange(len(is_other))
+        is_candidate = is_other | ((numbers < old_enough) & ~np.isin(numbers, linked_ids))
         ids, similarities = self._most_similar(embedding, is_candidate)
         # The best of those that are not similar enough answers "why was there no loop?".
         count = max(1, int(np.count_nonzero(similarities >= self.min_similarity)))
@@ -107,9 +105,13 @@ class LoopCloser:
         verification = estimate_relative_pose(
             match.features, query.features, self._camera, self._verification_config
         )
-        outcome, limit_m = verification.outcome, self._verification_config.max_uncertainty_m
+        outcome = verification.outcome
         if isinstance(outcome, RelativePose):
-            outcome = allow_for_turning(outcome, match.turning_rad_s, query.turning_rad_s)
-            if (sigma_m := translation_sigma_m(outcome)) > limit_m:
-                outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, sigma_m, limit_m)
+            depth_m = typical_depth_m(match.features, query.features)
+            turning = (match.turning_rad_s, query.turning_rad_s)
+            outcome = loop_noise(outcome, self._camera, depth_m, *turning)
+            share, limit = translation_sigma_m(outcome) / depth_m, self._verification_config
+            if share > limit.max_uncertainty:
+                reason = RejectionReason.UNCERTAIN_MOTION
+                outcome = Rejection(reason, share, limit.max_uncertainty)
         return LoopAttempt(query.id, match.id, similarity, verification, outcome)

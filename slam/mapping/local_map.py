@@ -69,11 +69,11 @@ class LocalMap:
         self._underway = self._thread.submit(adjusted, problem, self.whole.camera, _ROUNDS)
         return newest
 
-    def settle(self) -> bool:
-        """Put the keyframes where they were adjusted to; return whether there were any."""
+    def settle(self) -> list[int]:
+        """Put the keyframes where they were adjusted to and return their ids, none if none were."""
         underway, self._underway = self._underway, None
         if underway is None:
-            return False
+            return []
         write_back(self.whole, underway.result())
         self.nearby_ids = self.whole.seen_by(self._window)
-        return True
+        return self._window

@@ -2,11 +2,13 @@
 """Every frame and the keyframe it was placed against: it is corrected when the keyframe is."""
 
 from collections import Counter
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
 
 
@@ -52,6 +54,9 @@ class _LoggedFrame(NamedTuple):
     timestamp_s: float
     keyframe_id: int
     T_kf_cam: FloatArray
+    segment: int
+    T_odom_cam: FloatArray  # as it was known when the frame was tracked
+    newest_id: int  # the newest keyframe then
 
 
 class FrameLog:
@@ -61,9 +66,26 @@ class FrameLog:
         self._frames: list[_LoggedFrame] = []
         self._lost_s: list[float] = []
 
-    def add(self, timestamp_s: float, keyframe_id: int, T_kf_cam: FloatArray) -> None:
-        """Remember a frame by its (4, 4) place in a keyframe's camera frame."""
-        self._frames.append(_LoggedFrame(timestamp_s, keyframe_id, T_kf_cam))
+    def add(self, timestamp_s: float, tracked: TrackedFrame) -> None:
+        """Remember a frame by its place in a keyframe's camera frame, and by where it was then."""
+        newest_id = self._frames[-1].newest_id if self._frames else -1
+        if tracked.new_keyframe:
+            newest_id = tracked.new_keyframe.id
+        self._frames.append(
+            _LoggedFrame(
+                timestamp_s,
+                tracked.keyframe_id,
+                tracked.T_kf_cam,
+                tracked.segment,
+                tracked.T_odom_cam,
+                newest_id,
+            )
+        )
+
+    @property
+    def segment(self) -> int | None:
+        """The segment of the last frame that was placed, None before there is one."""
+        return self._frames[-1].segment if self._frames else None
 
     def lose(self, timestamp_s: float) -> None:
         """Remember a frame that could not be placed."""
@@ -79,6 +101,22 @@ class FrameLog:
         return Trajectory(
             timestamps_s=np.array([frame.timestamp_s for frame in frames]),
             T_world_cam=np.array([T_any_kf[each.keyframe_id] @ each.T_kf_cam for each in frames]),
+        )
+
+    def live(
+        self, T_any_kf: FloatArray, T_any_segment: Callable[[int, int], FloatArray | None]
+    ) -> Trajectory:
+        """Return the frames that `trajectory` returns, where they were when they were tracked.
+
+        What is called is given a segment and the newest keyframe of then, and tells the (4, 4) pose
+        of the segment's odometry, None where it was not known.
+        """
+        frames = self._on(np.isfinite(T_any_kf[:, 0, 0]))
+        places = [(each, T_any_segment(each.segment, each.newest_id)) for each in frames]
+        known = [(each, T) for each, T in places if T is not None]
+        return Trajectory(
+            timestamps_s=np.array([each.timestamp_s for each, _ in known]),
+            T_world_cam=np.array([T @ each.T_odom_cam for each, T in known]).reshape(-1, 4, 4),
         )
 
     def unjoined_s(self, T_any_kf: FloatArray) -> FloatArray:

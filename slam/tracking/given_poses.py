@@ -41,4 +41,4 @@ class GivenPoses:
             self._count, frame, features, T_odom_cam, turning_rad_s, self._segment
         )
         self._count += 1
-        return TrackedFrame(self._last.id, np.eye(4), self._last, links)
+        return TrackedFrame(self._last.id, np.eye(4), T_odom_cam, self._segment, self._last, links)

@@ -8,12 +8,9 @@ import numpy as np
 from slam.config import Config, VerificationConfig
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor, straightened
-from slam.geometry.relative_pose import (
-    allow_for_turning,
-    estimate_relative_pose,
-    measure_relative_pose,
-    with_floor,
-)
+from slam.geometry.motion_noise import link_noise, typical_depth_m
+from slam.geometry.relative_pose import estimate_relative_pose
+from slam.mapping.keyframe_links import motion_between
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
 from slam.mapping.landmarks import UNSEEN
 from slam.mapping.local_map import LocalMap
@@ -46,7 +43,6 @@ class RgbdOdometry:
     def __init__(self, camera: Camera, config: Config) -> None:
         self._camera = camera
         self._config = config.odometry
-        self._link_config = config.verification
         # A frame that follows its keyframe needs less evidence than a jump across the map.
         few = config.odometry.min_inliers
         less = {"min_matches": few, "min_inliers": few, "min_inlier_ratio": 0.0, "min_support": 0.0}
@@ -57,6 +53,8 @@ class RgbdOdometry:
         self._extractor = FeatureExtractor(camera, config.features)
         self._local_map = LocalMap(camera, config)
         self._worth_a_segment = _WORTH_A_SEGMENT * config.features.count
+        self._keyframes: list[Keyframe] = []
+        self._moved: set[int] = set()  # keyframes that were adjusted since the last new one
         self._segments = 0
         self._near = 0  # the segment whose landmarks the local map has gathered
         self._models: list[MotionModel] = []  # the last is the one that is followed
@@ -110,7 +108,8 @@ class RgbdOdometry:
 
     def settle(self) -> None:
         """Adjust the map to the last keyframe, and go on from where that puts it."""
-        if self._local_map.settle():
+        if adjusted := self._local_map.settle():
+            self._moved.update(adjusted)
             model = self._models[-1]
             last_id = model.recent[-1].id
             model.T_odom_last = self.map.keyframes[last_id].T_map_cam
@@ -127,7 +126,7 @@ class RgbdOdometry:
         self._segments += 1
         here = FramePose(np.eye(4), empty_pairs(), np.zeros((6, 6)))
         keyframe = self._insert(view, here, turning_rad_s=0.0)
-        return TrackedFrame(keyframe.id, np.eye(4), keyframe)
+        return self._placed(keyframe, np.eye(4), keyframe)
 
     def _follow(self, view: View) -> FramePose | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
@@ -183,10 +182,24 @@ class RgbdOdometry:
         model.last_ids = frame_pose.pairs[:, 0]
         T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ frame_pose.T_map_cam
         if not self._needs_keyframe(frame_pose, T_kf_cam):
-            return TrackedFrame(reference.id, T_kf_cam)
+            return self._placed(reference, T_kf_cam)
         keyframe = self._insert(view, frame_pose, turning_rad_s)
-        links = self._links(keyframe, reference, with_floor(T_kf_cam, frame_pose.hessian))
-        return TrackedFrame(reference.id, T_kf_cam, keyframe, links)
+        return self._placed(keyframe, np.eye(4), keyframe, self._links(keyframe, frame_pose))
+
+    def _placed(
+        self,
+        keyframe: Keyframe,
+        T_kf_cam: FloatArray,
+        new: Keyframe | None = None,
+        links: tuple[Link, ...] = (),
+    ) -> TrackedFrame:
+        """Return a frame placed against a keyframe of the map as it is now."""
+        T_odom_cam = self.map.keyframes[keyframe.id].T_map_cam @ T_kf_cam
+        moved: dict[int, FloatArray] = {}
+        if new:
+            moved = {k: self.map.keyframes[k].T_map_cam for k in sorted(self._moved)}
+            self._moved = set()
+        return TrackedFrame(keyframe.id, T_kf_cam, T_odom_cam, keyframe.segment, new, links, moved)
 
     def _needs_keyframe(self, frame_pose: FramePose, T_ref_cam: FloatArray) -> bool:
         model = self._models[-1]
@@ -208,21 +221,26 @@ class RgbdOdometry:
         keyframe = new_keyframe(
             new_id, view.frame, features, T_map_cam, turning_rad_s, model.segment
         )
+        self._keyframes.append(keyframe)
         model.recent = [*model.recent, keyframe][-1 - self._config.links :]
         return keyframe
 
-    def _links(self, new: Keyframe, reference: Keyframe, motion: RelativePose) -> tuple[Link, ...]:
-        """Link a new keyframe to its reference and to the other recent ones that see the same."""
-        motions: list[tuple[Keyframe, RelativePose | Rejection]] = [(reference, motion)]
-        for earlier in reversed(self._models[-1].recent[:-1]):
-            if earlier.id != reference.id:
-                pairs = self.map.shared_features(earlier.id, new.id)
-                measured = measure_relative_pose(
-                    earlier.features, new.features, pairs, self._camera, self._link_config
-                )
-                motions.append((earlier, measured.outcome))
-        return tuple(
-            Link(each.id, new.id, allow_for_turning(seen, each.turning_rad_s, new.turning_rad_s))
-            for each, seen in motions
-            if isinstance(seen, RelativePose)
-        )
+    def _links(self, new: Keyframe, frame_pose: FramePose) -> tuple[Link, ...]:
+        """Link a new keyframe to those that share most with it, as the map holds them together."""
+        covisible = self.map.covisible_keyframes(frame_pose.pairs[:, 0])
+        earlier = [self._keyframes[k] for k in covisible if k != new.id]
+        links: list[Link] = []
+        for each in earlier[: 1 + self._config.links]:
+            motion = motion_between(self.map, each.id, new.id)
+            if motion is not None:
+                links.append(Link(each.id, new.id, self._with_noise(motion, each, new)))
+        if not links:  # it was placed by landmarks of which no keyframe sees enough
+            nearest = earlier[0]
+            T_near_new = se3.inverse(self.map.keyframes[nearest.id].T_map_cam) @ new.T_odom_cam
+            motion = RelativePose(T_near_new, frame_pose.hessian)
+            links.append(Link(nearest.id, new.id, self._with_noise(motion, nearest, new)))
+        return tuple(links)
+
+    def _with_noise(self, motion: RelativePose, *both: Keyframe) -> RelativePose:
+        depth_m = typical_depth_m(*(each.features for each in both))
+        return link_noise(motion, self._camera, depth_m, *(each.turning_rad_s for each in both))

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tracking says of a frame, and the keyframe that a frame becomes."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,16 +14,23 @@ class TrackedFrame:
     """A frame that was placed.
 
     Attributes:
-        keyframe_id: the keyframe it was placed against.
+        keyframe_id: the keyframe it was placed against, itself where it became one.
         T_kf_cam: (4, 4) pose in that keyframe's camera frame.
+        T_odom_cam: (4, 4) pose in the odometry's frame of its segment, as of now.
+        segment: a number per stretch in which the camera was not lost and no session ended.
         new_keyframe: the frame as a keyframe, where it became one.
-        links: the new keyframe's motions to earlier ones, the one it was placed against first.
+        links: the new keyframe's motions to earlier ones.
+        moved: (4, 4) T_odom_cam by id of the keyframes that the odometry moved since the last new
+            one; empty where the frame is no keyframe.
     """
 
     keyframe_id: int
     T_kf_cam: FloatArray
+    T_odom_cam: FloatArray
+    segment: int = 0
     new_keyframe: Keyframe | None = None
     links: tuple[Link, ...] = ()
+    moved: Mapping[int, FloatArray] = field(default_factory=dict)
 
 
 def new_keyframe(
