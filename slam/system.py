@@ -132,8 +132,8 @@ class Slam:
         T_world_odom = self.correction.T_world_odom.get(segment)
         if T_world_odom is None:
             raise SlamError(
-                "the camera was lost or began a new session, and so far no two loops agree where"
-                " the part of the map that it is in now lies to the largest; ask again later"
+                "the camera was lost or began a new session, and so far no loops at two places"
+                " agree where the part of the map that it is in lies to the rest; ask again later"
             )
         return T_world_odom
 

@@ -154,11 +154,13 @@ class Verification:
         outcome: the motion, or why there is none.
         pixels: (M, 4) float64, matched pixels [u_ref, v_ref, u_query, v_query] in the images.
         inlier_mask: (M,) bool, the matches that agree with the motion.
+        points_ref_m: (M, 3) float64, what the matches show, metres, reference camera frame.
     """
 
     outcome: RelativePose | Rejection
     pixels: FloatArray
     inlier_mask: NDArray[np.bool_]
+    points_ref_m: FloatArray
 
 
 MIN_TRUSTED_WEIGHT = 0.5

@@ -46,7 +46,7 @@ def measure_relative_pose(
     pairs = pairs[np.isfinite(reference.depth_m[pairs[:, 0]])]
     outcome, inlier_mask = _outcome(reference, query, pairs, camera, config)
     pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
-    return Verification(outcome, pixels, inlier_mask)
+    return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]])
 
 
 def _outcome(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.geometry import se3
-from slam.loops.submaps import Submap, joined, submap_of
+from slam.loops.submaps import Loop, Submap, joined, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
 
@@ -37,7 +37,7 @@ class LargestSubmap:
 
     Attributes:
         graph: its keyframes, links and loops.
-        unjoined: per key of a loop in or to another submap, how many places agree where that lies.
+        unjoined: per key of a loop in or to another submap, at how many places loops join that.
         T_odom_kf: (4, 4) by keyframe id, what the odometry had made of its keyframes then.
         segment_of: by keyframe id.
     """
@@ -70,7 +70,7 @@ class Atlas:
         self._keyframes: list[Keyframe] = []
         self._T_odom_kf: list[FloatArray] = []
         self._links: list[Link] = []
-        self._loops: dict[int, Link] = {}
+        self._loops: dict[int, Loop] = {}
 
     @property
     def loops(self) -> int:
@@ -85,8 +85,10 @@ class Atlas:
         self._T_odom_kf.append(keyframe.T_odom_cam)
         self._links.extend(links)
         for key, attempt in attempts.items():
-            if isinstance(attempt.outcome, RelativePose):
-                self._loops[key] = Link(attempt.match_id, attempt.query_id, attempt.outcome)
+            if isinstance(attempt.outcome, RelativePose) and (seen := attempt.verification):
+                points_ref_m = seen.points_ref_m[seen.inlier_mask]
+                loop = Loop.of(attempt.match_id, attempt.query_id, attempt.outcome, points_ref_m)
+                self._loops[key] = loop
 
     def move(self, T_odom_kf: Mapping[int, FloatArray]) -> None:
         """Take (4, 4) poses by keyframe id for where the odometry has these keyframes now."""
@@ -131,7 +133,7 @@ class Atlas:
         return joined(list(submaps.values()), self._loops.values())
 
     def _unjoined(self, submaps: Sequence[Submap], largest: Submap) -> dict[int, int]:
-        """Return, per loop not within the largest, how many loops join its submap to that."""
+        """Return per loop not within the largest at how many places its submap is tied to that."""
         number_of = submap_of(submaps)
         pairs = {
             key: {number_of[loop.ref_id], number_of[loop.query_id]}
@@ -142,7 +144,7 @@ class Atlas:
         return {key: int(bool(pair & near)) for key, pair in pairs.items() if pair != {home}}
 
 
-def _shared_out(loops: Mapping[int, Link]) -> dict[int, Link]:
+def _shared_out(loops: Mapping[int, Loop]) -> dict[int, Link]:
     """Return the loops with as much information per query as one of them has.
 
     What bends the query's image is in all of its loops: they repeat its error, not correct it.

@@ -14,7 +14,7 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.loops.atlas import Atlas, Correction, LargestSubmap
 from slam.loops.loop_closure import LoopCloser
-from slam.loops.submaps import NEEDED_LOOPS
+from slam.loops.submaps import NEEDED_PLACES
 from slam.pose_graph import solve, solve_beside
 from slam.stage_clock import StageClock
 from slam.types import (
@@ -213,14 +213,14 @@ def refusals(attempts: Sequence[LoopAttempt]) -> tuple[str, ...]:
     return ()
 
 
-def _in_the_end(attempt: LoopAttempt, weight: float | None, agreeing: int | None) -> LoopAttempt:
+def _in_the_end(attempt: LoopAttempt, weight: float | None, places: int | None) -> LoopAttempt:
     """Return what the graph makes of a loop: in use, outvoted or not joined to the largest submap.
 
-    The weight is None where the graph was not given the loop; `agreeing` loops say where its submap
-    lies, None where that is the largest.
+    The weight is None where the graph was not given the loop; loops at so many places say where its
+    submap lies, None where that is the largest.
     """
-    if agreeing is not None:
-        return replace(attempt, outcome=Rejection(RejectionReason.UNJOINED, agreeing, NEEDED_LOOPS))
+    if places is not None:
+        return replace(attempt, outcome=Rejection(RejectionReason.UNJOINED, places, NEEDED_PLACES))
     if weight is None or weight > MIN_TRUSTED_WEIGHT:
         return replace(attempt, weight=weight)
     outvoted = Rejection(RejectionReason.OUTVOTED, weight, MIN_TRUSTED_WEIGHT)

@@ -10,8 +10,13 @@ import numpy as np
 from slam.geometry import se3
 from slam.types import FloatArray, Link, RelativePose
 
-NEEDED_LOOPS = 2
-"""Loops that have to agree on how two submaps lie to each other before the two become one."""
+NEEDED_PLACES = 2
+"""Places at which loops have to agree how two submaps lie before the two become one.
+
+Two loops are at two places if they share neither keyframe, and what the one's views have in common
+lies apart from what the other's have: its middle is further away than both reach together. For all
+loops that a poster and its twin make agree, wherever the camera stands.
+"""
 
 # Two loops agree where one puts the other's keyframe no further than this from where that does. Of
 # 659 motions verified between all keyframes of fr1_xyz and fr1_desk 5 were off by more, none by
@@ -19,6 +24,34 @@ NEEDED_LOOPS = 2
 _AGREE_M, _AGREE_RAD = 0.10, np.radians(5.0)
 _HYPOTHESES = 200  # of more loops between two submaps so many are tried, and all of them vote
 _NEXT_TO_NOTHING = np.eye(6)  # of information: 1 rad, 1 m
+
+
+@dataclass(frozen=True, eq=False)
+class Loop(Link):
+    """A verified loop, and which place it saw.
+
+    Attributes:
+        centre_ref_m: (3,) middle of what both views show, metres, reference camera frame.
+        radius_m: how far that reaches: the root mean square distance of its points from there.
+    """
+
+    centre_ref_m: FloatArray
+    radius_m: float
+
+    @staticmethod
+    def of(match_id: int, query_id: int, motion: RelativePose, points_ref_m: FloatArray) -> "Loop":
+        """Return the loop that (N, 3) points agree with, metres, reference camera frame."""
+        centre_m = points_ref_m.mean(axis=0)
+        radius_m = float(np.sqrt(((points_ref_m - centre_m) ** 2).sum(axis=1).mean()))
+        return Loop(match_id, query_id, motion, centre_m, radius_m)
+
+    @property
+    def reversed(self) -> "Loop":
+        """The same with the query for reference; only its motion is right, not its information."""
+        T_query_ref = se3.inverse(self.motion.T_ref_query)
+        motion = replace(self.motion, T_ref_query=T_query_ref)
+        (centre_m,) = se3.transform(T_query_ref, self.centre_ref_m[None])
+        return Loop(self.query_id, self.ref_id, motion, centre_m, self.radius_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +85,8 @@ def submap_of(submaps: Sequence[Submap]) -> dict[int, int]:
     return {k: i for i, submap in enumerate(submaps) for k in submap.T_submap_kf}
 
 
-def joined(submaps: Sequence[Submap], loops: Iterable[Link]) -> list[Submap]:
-    """Join submaps where loops agree, one pair after the other, the clearest first.
+def joined(submaps: Sequence[Submap], loops: Iterable[Loop]) -> list[Submap]:
+    """Join submaps where loops agree at two places, one pair after the other, the clearest first.
 
     So a false loop that came early has no say against those that came later. What joins two submaps
     has next to no information: it tells a solver where to start, and the loops decide.
@@ -63,45 +96,55 @@ def joined(submaps: Sequence[Submap], loops: Iterable[Link]) -> list[Submap]:
         between = _between(submaps, loops)
         joins = [(*_join(submaps[i], submaps[j], some), i, j) for (i, j), some in between.items()]
         votes, join, i, j = max(joins, key=lambda each: each[0], default=(0, None, 0, 0))
-        if join is None or votes < NEEDED_LOOPS:
+        if join is None or votes < NEEDED_PLACES:
             break
         submaps[i] = _union(submaps[i], submaps.pop(j), join)
     return submaps
 
 
-def _between(submaps: Sequence[Submap], loops: Iterable[Link]) -> dict[tuple[int, int], list[Link]]:
+def _between(submaps: Sequence[Submap], loops: Iterable[Loop]) -> dict[tuple[int, int], list[Loop]]:
     """Return the loops between any two submaps, all from the earlier, for their motions alone."""
     number_of = submap_of(submaps)
-    between: dict[tuple[int, int], list[Link]] = defaultdict(list)
+    between: dict[tuple[int, int], list[Loop]] = defaultdict(list)
     for loop in loops:
         i, j = number_of[loop.ref_id], number_of[loop.query_id]
         if i < j:
             between[i, j].append(loop)
         elif j < i:
-            motion = replace(loop.motion, T_ref_query=se3.inverse(loop.motion.T_ref_query))
-            between[j, i].append(Link(loop.query_id, loop.ref_id, motion))
+            between[j, i].append(loop.reversed)
     return between
 
 
-def _join(earlier: Submap, later: Submap, loops: Sequence[Link]) -> tuple[int, Link]:
+def _join(earlier: Submap, later: Submap, loops: Sequence[Loop]) -> tuple[int, Link]:
     """Return how many loops agree with the one that most agree with, and the join by that one.
 
-    The loops have their reference in the earlier submap; the join leads to the later one's first.
+    None are counted for a loop that no other at another place agrees with. The loops have their
+    reference in the earlier submap; the join leads to the later one's first.
     """
     T_later_query = later.places(loop.query_id for loop in loops)
     T_ref_query = np.array([loop.motion.T_ref_query for loop in loops])
-    T_earlier_query = earlier.places(loop.ref_id for loop in loops) @ T_ref_query
+    T_earlier_ref = earlier.places(loop.ref_id for loop in loops)
+    T_earlier_query = T_earlier_ref @ T_ref_query
     T_earlier_later = T_earlier_query @ se3.inverse(T_later_query)
+    # Loops that agree put in the later submap what each shows where they put it in the earlier one:
+    # what is apart on one side is apart on the other.
+    centre_ref_m = np.array([loop.centre_ref_m for loop in loops])
+    centre_m = np.einsum("nij,nj->ni", T_earlier_ref[:, :3, :3], centre_ref_m)
+    centre_m += T_earlier_ref[:, :3, 3]
+    radius_m = np.array([loop.radius_m for loop in loops])
+    ids = np.array([(loop.ref_id, loop.query_id) for loop in loops])
     tried = range(0, len(loops), -(-len(loops) // _HYPOTHESES))
     votes = []
     for i in tried:  # where loop i puts the query of every loop, as seen from where that puts it
         error = se3.inverse(T_earlier_query) @ T_earlier_later[i] @ T_later_query
-        is_near = se3.translation_norm(error) < _AGREE_M
-        votes.append(np.count_nonzero(is_near & (se3.rotation_angle(error) < _AGREE_RAD)))
+        agrees = (se3.translation_norm(error) < _AGREE_M) & (se3.rotation_angle(error) < _AGREE_RAD)
+        is_apart = np.linalg.norm(centre_m - centre_m[i], axis=1) > radius_m + radius_m[i]
+        is_elsewhere = is_apart & (ids != ids[i]).all(axis=1)
+        votes.append(int(np.count_nonzero(agrees)) * int((agrees & is_elsewhere).any()))
     best = tried[int(np.argmax(votes))]
     T_query_first = se3.inverse(T_later_query[best]) @ later.T_submap_kf[later.first]
     motion = RelativePose(T_ref_query[best] @ T_query_first, _NEXT_TO_NOTHING)
-    return int(max(votes)), Link(loops[best].ref_id, later.first, motion)
+    return max(votes), Link(loops[best].ref_id, later.first, motion)
 
 
 def _union(earlier: Submap, later: Submap, join: Link) -> Submap:

@@ -23,10 +23,10 @@ _MARGINS = {
     RejectionReason.LOW_INLIER_RATIO: _SHARE % "of the matches as inliers",
     RejectionReason.NARROW_SUPPORT: _SHARE % "of the image covered by inliers",
     RejectionReason.UNCERTAIN_MOTION: (
-        "needed a motion known to {needed_cm:.1f} cm, had {measured_cm:.1f} cm"
+        "needed a motion known to {needed:.1%} of the depth of what is seen, had {measured:.1%}"
     ),
     RejectionReason.OUTVOTED: "needed weight {needed:.2f} in the pose graph, had {measured:.2f}",
-    RejectionReason.UNJOINED: _COUNT % "loops that agree where its part of the map lies",
+    RejectionReason.UNJOINED: _COUNT % "places at which loops agree where its part of the map lies",
 }
 
 

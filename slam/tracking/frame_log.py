@@ -146,7 +146,7 @@ class FrameLog:
             warnings.append(
                 f"{len(unjoined_s)} of {total} frames, from {unjoined_s[0]:.3f} s to"
                 f" {unjoined_s[-1]:.3f} s, were tracked apart from the rest and are in no"
-                f" trajectory: too few loops agree where they belong{beginning}"
+                f" trajectory: no loops at two places agree where they belong{beginning}"
             )
         return tuple(warnings)
 

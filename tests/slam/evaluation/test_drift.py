@@ -61,7 +61,7 @@ def keyframe(index, timestamp_s):
 
 def attempt(T_match_query, query_id=1, match_id=0):
     motion = RelativePose(T_match_query, np.eye(6))
-    seen = Verification(motion, np.zeros((3, 4)), np.ones(3, dtype=np.bool_))
+    seen = Verification(motion, np.zeros((3, 4)), np.ones(3, dtype=np.bool_), np.zeros((3, 3)))
     return LoopAttempt(query_id, match_id, 0.9, seen, motion)
 
 

@@ -118,23 +118,29 @@ def test_loops_that_lost_are_not_trusted(keyframes):
     assert isinstance(lost.verification.outcome, RelativePose)  # what geometry saw stays known
 
 
-def test_one_loop_to_another_segment_is_of_no_use_and_a_second_makes_it_one(keyframes):
+def test_a_segment_that_loops_at_one_place_tie_is_of_no_use_and_a_second_makes_it_one(
+    keyframes, frames, T_first_cam
+):
     behind = back_end(Gate(), min_gap_s=4.0)
-    (first, rgb), (second, _), (third, _) = keyframes[:3]
-    behind.insert(first, (), rgb)
-    behind.insert(replace(second, segment=1), (), rgb)
-    solved = behind.solve({0: 1, 1: 2})
-    (alone,) = solved.attempts
+    (here, rgb), other_rgb = keyframes[0], frames[24].rgb
+    features = FeatureExtractor(CAMERA, Config().features).extract(frames[24])
+    elsewhere = replace(here, features=features, T_odom_cam=T_first_cam[24])
+    motion = RelativePose(T_first_cam[24], INFORMATION)
+    behind.insert(here, (), rgb)
+    behind.insert(replace(elsewhere, id=1), (Link(0, 1, motion),), other_rgb)
+    behind.insert(replace(here, id=2, segment=1), (), rgb)
+    solved = behind.solve({0: 1, 2: 2})
+    alone = solved.attempts[0]
+    assert (alone.match_id, alone.query_id) == (0, 2)
     assert alone.outcome == Rejection(RejectionReason.UNJOINED, 1, 2) and alone.weight is None
     assert isinstance(alone.verification.outcome, RelativePose)  # what geometry saw stays known
-    assert np.isnan(solved.T_world_kf[0]).all() and np.isfinite(solved.T_world_kf[1]).all()
+    assert np.isnan(solved.T_world_kf[:2]).all() and np.isfinite(solved.T_world_kf[2]).all()
     assert in_use(solved) == []
-    motion = RelativePose(np.eye(4), INFORMATION)
-    behind.insert(replace(third, segment=1), (Link(1, 2, motion),), rgb)
+    behind.insert(replace(elsewhere, id=3, segment=1), (Link(2, 3, motion),), other_rgb)
     solved = behind.solve()
     assert np.isfinite(solved.T_world_kf).all()
-    assert in_use(solved) == [(0, 1), (0, 2)]
-    assert [(link.ref_id, link.query_id) for link in solved.links] == [(0, 1), (1, 2)]
+    assert in_use(solved) == [(0, 2), (1, 3)]
+    assert [(link.ref_id, link.query_id) for link in solved.links] == [(0, 1), (0, 2), (2, 3)]
 
 
 def drifting(keyframes):

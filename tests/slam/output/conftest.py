@@ -64,7 +64,9 @@ def attempt(
     refusal = REJECTIONS[number // 3 % len(REJECTIONS)]
     outcome = motion if number % 3 == 0 else refusal
     matches = generator.uniform((0, 0, 0, 0), (640, 480, 640, 480), (60, 4))
-    verification = Verification(outcome, matches, np.arange(60) < 30 + number % 30)
+    verification = Verification(
+        outcome, matches, np.arange(60) < 30 + number % 30, np.zeros((60, 3))
+    )
     similarity = 0.76 + 0.2 * generator.random()
     weight = None
     if number % 30 == 9:

@@ -29,7 +29,7 @@ WRONG = LoopTruth(0.40, 0.5, 0.1, 3.0, True)
         (RejectionReason.OUTVOTED, 0.02, 0.5, "needed weight 0.50 in the pose graph, had 0.02"),
         (RejectionReason.UNCERTAIN_MOTION, 0.123, 0.1, "known to 10.0 cm, had 12.3 cm"),
         (RejectionReason.LOW_SIMILARITY, np.nan, 0.75, "needed similarity 0.750, had none"),
-        (RejectionReason.UNJOINED, 1, 3, "needed 3 loops that agree where its part of the map"),
+        (RejectionReason.UNJOINED, 1, 2, "needed 2 places at which loops agree where its part"),
     ],
 )
 def test_a_rejection_says_how_much_was_missing(run, reason, measured, needed, text) -> None:

@@ -33,7 +33,7 @@ OUTVOTED = Rejection(RejectionReason.OUTVOTED, 0.0, 0.5)
 
 
 def verification(outcome):
-    return Verification(outcome, np.zeros((40, 4)), np.arange(40) < 12)
+    return Verification(outcome, np.zeros((40, 4)), np.arange(40) < 12, np.zeros((40, 3)))
 
 
 ATTEMPTS = (

@@ -22,7 +22,7 @@ def test_matches_are_drawn_where_they_were_seen(run) -> None:
     loop = next(one for one in decisions(run.result, run.drift) if one.attempt.verification)
     dark = replace(loop.query.preview, rgb=np.zeros((240, 320, 3), np.uint8))
     pixels = np.array([[160.0, 120.0, 480.0, 120.0]])  # at a quarter of the height
-    seen = Verification(loop.attempt.outcome, pixels, np.array([True]))
+    seen = Verification(loop.attempt.outcome, pixels, np.array([True]), np.zeros((1, 3)))
     loop = replace(
         loop,
         attempt=replace(loop.attempt, verification=seen),
