@@ -95,8 +95,6 @@ class Decision:
             measured=measured,
             short=needed - measured,
             short_percent=100 * (needed - measured),
-            needed_cm=100 * needed,
-            measured_cm=100 * measured,
         )
 
     @property

@@ -7,13 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.config import VerificationConfig
-from slam.geometry import relative_pose, se3
+from slam.geometry import se3
 from slam.geometry.features import match
 from slam.geometry.refinement import Correspondences, refine
 from slam.geometry.relative_pose import (
-    allow_for_turning,
     estimate_relative_pose,
-    translation_sigma_m,
 )
 from slam.types import Features, Rejection, RejectionReason, RelativePose
 
@@ -111,14 +109,11 @@ def test_the_same_views_give_the_same_bits(make_views):
     np.testing.assert_array_equal(first.inlier_mask, second.inlier_mask)
 
 
-def test_the_information_is_symmetric_positive_definite_and_never_boundless(make_views):
+def test_the_information_is_symmetric_and_positive_definite(make_views):
     for count in (30, 100, 1000):
         motion = estimate(make_views(T_REF_QUERY, count, noise=0.5)).outcome
-        np.testing.assert_array_equal(motion.information, motion.information.T)
+        np.testing.assert_allclose(motion.information, motion.information.T, rtol=1e-6, atol=1e-3)
         assert (np.linalg.eigvalsh(motion.information) > 0.0).all()
-        # However many matches: two views disagree by some millimetres and tenths of a degree.
-        sigma = np.sqrt(np.diag(np.linalg.inv(motion.information)))
-        assert (sigma[:3] > np.radians(0.1)).all() and (sigma[3:] > 0.002).all()
 
 
 def test_the_tangent_is_rotation_first(make_views):
@@ -229,44 +224,3 @@ def test_points_in_one_place_or_line_or_without_depth_in_the_query_do_not_break_
         query = replace(views.query, depth_m=np.full(60, np.nan), points_m=np.full((60, 3), np.nan))
         outcome = estimate(views._replace(reference=reference, query=query)).outcome
         assert outcome == Rejection(RejectionReason.NO_POSE, 0, CONFIG.min_inliers)
-
-
-def motion_of(information):
-    return RelativePose(np.eye(4), information)
-
-
-def test_turning_costs_information_and_the_two_cameras_add_up():
-    motion = motion_of(np.diag([1e4] * 3 + [1e5] * 3))
-    calm = allow_for_turning(motion, 0.0, 0.0)
-    one = allow_for_turning(motion, 1.0, 0.0)
-    both = allow_for_turning(motion, 1.0, 1.0)
-    np.testing.assert_allclose(calm.information, motion.information)
-    assert (np.linalg.eigvalsh(motion.information - one.information) > 0.0).all()
-    assert (np.linalg.eigvalsh(one.information - both.information) > 0.0).all()
-    np.testing.assert_allclose(
-        allow_for_turning(motion, 3.0, 4.0).information,
-        allow_for_turning(motion, -5.0).information,
-    )
-    np.testing.assert_array_equal(one.T_ref_query, motion.T_ref_query)
-    np.testing.assert_array_equal(one.information, one.information.T)
-
-
-def test_turning_blurs_rotation_and_translation_each_by_its_own_rate(monkeypatch):
-    monkeypatch.setattr(relative_pose, "_ROTATION_PER_TURNING_S", 0.2)
-    monkeypatch.setattr(relative_pose, "_TRANSLATION_PER_TURNING_M_S", 0.03)
-    information = allow_for_turning(motion_of(1e12 * np.eye(6)), 1.0).information
-    sigma = np.sqrt(np.diag(np.linalg.inv(information)))
-    np.testing.assert_allclose(sigma, [0.2] * 3 + [0.03] * 3, rtol=1e-6)
-
-
-def test_turning_costs_variance_in_proportion_to_its_square():
-    def variance(turning_rad_s):
-        information = allow_for_turning(motion_of(1e12 * np.eye(6)), turning_rad_s).information
-        return np.diag(np.linalg.inv(information))
-
-    np.testing.assert_allclose(variance(2.0), 4.0 * variance(1.0), rtol=1e-6)
-
-
-def test_the_translation_sigma_takes_all_directions_together():
-    covariance = np.diag([1.0, 1.0, 1.0, 0.01**2, 0.02**2, 0.02**2])
-    assert translation_sigma_m(motion_of(np.linalg.inv(covariance))) == pytest.approx(0.03)

@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
+from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from slam.config import GraphConfig
 from slam.geometry import se3
-from slam.loops.atlas import Atlas, in_one_odometry_frame
+from slam.loops.atlas import Atlas, LargestSubmap, odometry_frames
 from slam.loops.submaps import NEEDED_PLACES
+from slam.pose_graph import GraphSolution, solve
 from slam.types import (
+    FloatArray,
     Keyframe,
     Link,
     LoopAttempt,
     Rejection,
     RejectionReason,
     RelativePose,
-    SlamError,
     Verification,
 )
 
@@ -30,11 +32,22 @@ T_WORLD_OF = {  # where each segment really begins
 }
 
 
+class Solved(NamedTuple):
+    """The largest submap and what its graph says."""
+
+    largest: LargestSubmap
+    solution: GraphSolution
+    T_world_kf: FloatArray
+    weights: dict[int, float]
+    links: Sequence[Link]
+    unjoined: dict[int, int]
+
+
 class Run:
     """Segments of a path, added keyframe by keyframe to an atlas that only sees motions."""
 
     def __init__(self):
-        self.atlas = Atlas(GraphConfig())
+        self.atlas = Atlas()
         self.keyframes, self.links, self.T_truth = [], [], []
         self.loops = 0
 
@@ -59,7 +72,12 @@ class Run:
 
     def finish(self, frames=None):
         count = len(self.keyframes)
-        return self.atlas.finish(frames or dict.fromkeys(range(count), 1))
+        largest = self.atlas.largest(frames or dict.fromkeys(range(count), 1))
+        solution = solve(largest.graph, 0.95)
+        T_world_kf = np.full((count, 4, 4), np.nan)
+        T_world_kf[list(solution.T_world_kf)] = list(solution.T_world_kf.values())
+        links = largest.graph.links
+        return Solved(largest, solution, T_world_kf, solution.weights, links, largest.unjoined)
 
     def errors_m(self, solution):
         placed = np.flatnonzero(np.isfinite(solution.T_world_kf[:, 0, 0]))
@@ -211,19 +229,31 @@ def test_loops_within_a_part_that_was_not_joined_are_of_no_use(run):
 
 
 def test_the_correction_of_a_segment_is_known_once_it_is_joined(run):
-    with pytest.raises(SlamError, match="no keyframe yet"):
-        run.atlas.T_world_odom({})
     for segment in (0, 0, 0, 1):
         run.add(segment)
-    frames = {0: 1}
-    with pytest.raises(SlamError, match="no loops at two places agree") as error:
-        run.atlas.T_world_odom(frames)
-    assert "\n" not in str(error.value)
+
+    def correction():
+        solved = run.finish({0: 1})
+        return solved.largest.correction(7, 3, solved.solution)
+
+    assert list(correction().T_world_odom) == [0]
     run.add(1, [(1, TRUE)])
     run.add(1, [(2, TRUE)])
-    np.testing.assert_allclose(run.atlas.T_world_odom(frames), T_WORLD_OF[1], atol=1e-6)
-    asked_before = run.finish()
-    assert all(placed(asked_before)) and run.errors_m(asked_before).max() < 1e-6
+    joined = correction()
+    assert joined.version == 7 and joined.newest_id == 3 and len(joined.T_world_kf) == 6
+    for segment, T_world_odom in joined.T_world_odom.items():
+        np.testing.assert_allclose(T_world_odom, T_WORLD_OF[segment], atol=1e-6)
+
+
+def test_the_loops_of_one_keyframe_have_no_more_information_than_one(run):
+    for segment in (0, 0, 0, 0):
+        run.add(segment)
+    run.add(0, [(0, TRUE), (1, TRUE), (2, TRUE), (3, TRUE)])
+    run.add(0, [(0, TRUE)])
+    loops = run.atlas.largest().graph.loops
+    information = [loops[key].motion.information for key in range(5)]
+    np.testing.assert_allclose(sum(information[:4]), INFORMATION)
+    np.testing.assert_array_equal(information[4], INFORMATION)
 
 
 def test_rejected_candidates_are_no_loops(run):
@@ -233,7 +263,7 @@ def test_rejected_candidates_are_no_loops(run):
     rejection = Rejection(RejectionReason.FEW_MATCHES, 3, 20)
     attempts = {k: LoopAttempt(3, k, 0.9, None, rejection) for k in range(3)}
     run.atlas.add(keyframe, (), attempts)
-    assert run.atlas.finish({0: 1}).unjoined == {}
+    assert run.atlas.largest({0: 1}).unjoined == {}
 
 
 def test_segments_are_tied_into_one_odometry_by_the_motion_that_joined_them(run):
@@ -244,9 +274,9 @@ def test_segments_are_tied_into_one_odometry_by_the_motion_that_joined_them(run)
     run.add(2, [(0, TRUE)])
     run.add(2, [(1, TRUE)])
     links = run.finish().links
-    moved = in_one_odometry_frame(run.keyframes, links)
-    T_odom_cam = np.array([each.T_odom_cam for each in moved])
-    assert np.abs(T_odom_cam - np.array(run.T_truth)).max() < 1e-6
-    assert [each.id for each in moved] == list(range(len(moved)))
-    assert in_one_odometry_frame(run.keyframes[:3], links[:1]) == tuple(run.keyframes[:3])
-    assert in_one_odometry_frame((), ()) == ()
+    T_odom_segment = odometry_frames(run.keyframes, links)
+    T_odom_cam = [T_odom_segment[each.segment] @ each.T_odom_cam for each in run.keyframes]
+    assert np.abs(np.array(T_odom_cam) - np.array(run.T_truth)).max() < 1e-6
+    (alone,) = odometry_frames(run.keyframes[:3], links[:1]).items()
+    assert alone[0] == 0 and (alone[1] == np.eye(4)).all()
+    assert odometry_frames((), ()) == {}

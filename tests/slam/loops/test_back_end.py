@@ -8,9 +8,10 @@ import pytest
 from placerec.errors import RecognizerError
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, LoopConfig
+from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd
-from slam.pose_graph import PoseGraph
+from slam.pose_graph import solve_beside
 from slam.stage_clock import StageClock
 from slam.tracking.tracked_frame import preview
 from slam.types import (
@@ -20,7 +21,6 @@ from slam.types import (
     Rejection,
     RejectionReason,
     RelativePose,
-    SlamError,
 )
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -71,7 +71,7 @@ def test_who_inserts_does_not_wait_for_the_answer(keyframes):
     behind = back_end(gate)
     gate.is_open.clear()
     keyframe, rgb = keyframes[0]
-    behind.insert(keyframe, (), rgb)
+    behind.insert(keyframe, (), {}, rgb)
     assert behind.keyframes == []
     gate.is_open.set()
     assert behind.settle() == ()
@@ -82,10 +82,9 @@ def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
     clock = StageClock()
     behind = BackEnd(CAMERA, Gate(), Config(loop=LoopConfig(min_gap_s=4.0)), clock)
     for keyframe, rgb in keyframes:
-        behind.insert(keyframe, links(keyframe), rgb)
-    solved = behind.solve()
-    behind.T_world_odom()
-    assert list(clock.seconds) == ["describe", "close loops", "graph"]
+        behind.insert(keyframe, links(keyframe), {}, rgb)
+    solved = behind.solve({})
+    assert sorted(clock.seconds) == ["close loops", "correct", "describe", "graph"]
     assert all(each.weight > 0.9 for each in solved.attempts)
     assert behind.keyframes == [keyframe for keyframe, _ in keyframes]
     assert {(each.match_id, each.query_id) for each in solved.attempts} == {(0, 2), (0, 3), (1, 3)}
@@ -99,23 +98,24 @@ def test_a_keyframe_closes_no_loop_with_one_that_it_is_linked_to(keyframes):
     motion = RelativePose(np.eye(4), INFORMATION)
     for keyframe, rgb in keyframes[:3]:
         known = [Link(k, keyframe.id, motion) for k in reversed(range(keyframe.id))]
-        behind.insert(keyframe, tuple(known), rgb)
-    assert behind.solve().attempts == ()
+        behind.insert(keyframe, tuple(known), {}, rgb)
+    assert behind.solve({}).attempts == ()
 
 
 def test_loops_that_lost_are_not_trusted(keyframes):
     behind = back_end(Gate(), min_gap_s=4.0)
     for keyframe, rgb in keyframes[:3]:
         far = np.eye(4)
-        far[0, 3] = 2.0
-        motion = RelativePose(far, INFORMATION)
-        tie = (Link(keyframe.id - 1, keyframe.id, motion),) if keyframe.id else ()
-        behind.insert(keyframe, tie, rgb)
-    solved = behind.solve()
+        far[0, 3] = 2.0 * keyframe.id
+        behind.insert(replace(keyframe, T_odom_cam=far), links(keyframe), {}, rgb)
+    solved = behind.solve({})
     (lost,) = solved.attempts
     assert in_use(solved) == [] and 0.0 <= lost.weight < 0.1
     assert lost.outcome == Rejection(RejectionReason.OUTVOTED, lost.weight, 0.5)
     assert isinstance(lost.verification.outcome, RelativePose)  # what geometry saw stays known
+    assert any("contradict the odometry" in each for each in solved.warnings)
+    (aloud,) = [each for each in solved.warnings if each.startswith("1 of 1 loops")]
+    assert RejectionReason.OUTVOTED.value in aloud
 
 
 def test_a_segment_that_loops_at_one_place_tie_is_of_no_use_and_a_second_makes_it_one(
@@ -126,18 +126,18 @@ def test_a_segment_that_loops_at_one_place_tie_is_of_no_use_and_a_second_makes_i
     features = FeatureExtractor(CAMERA, Config().features).extract(frames[24])
     elsewhere = replace(here, features=features, T_odom_cam=T_first_cam[24])
     motion = RelativePose(T_first_cam[24], INFORMATION)
-    behind.insert(here, (), rgb)
-    behind.insert(replace(elsewhere, id=1), (Link(0, 1, motion),), other_rgb)
-    behind.insert(replace(here, id=2, segment=1), (), rgb)
-    solved = behind.solve({0: 1, 2: 2})
+    behind.insert(here, (), {}, rgb)
+    behind.insert(replace(elsewhere, id=1), (Link(0, 1, motion),), {}, other_rgb)
+    behind.insert(replace(here, id=2, segment=1), (), {}, rgb)
+    solved = behind.solve({}, {0: 1, 2: 2})
     alone = solved.attempts[0]
     assert (alone.match_id, alone.query_id) == (0, 2)
     assert alone.outcome == Rejection(RejectionReason.UNJOINED, 1, 2) and alone.weight is None
     assert isinstance(alone.verification.outcome, RelativePose)  # what geometry saw stays known
     assert np.isnan(solved.T_world_kf[:2]).all() and np.isfinite(solved.T_world_kf[2]).all()
     assert in_use(solved) == []
-    behind.insert(replace(elsewhere, id=3, segment=1), (Link(2, 3, motion),), other_rgb)
-    solved = behind.solve()
+    behind.insert(replace(elsewhere, id=3, segment=1), (Link(2, 3, motion),), {}, other_rgb)
+    solved = behind.solve({})
     assert np.isfinite(solved.T_world_kf).all()
     assert in_use(solved) == [(0, 2), (1, 3)]
     assert [(link.ref_id, link.query_id) for link in solved.links] == [(0, 1), (0, 2), (2, 3)]
@@ -154,32 +154,54 @@ def drifting(keyframes):
         yield replace(keyframe, T_odom_cam=T), tie, rgb
 
 
-def test_the_correction_is_known_to_who_asks_and_costs_nobody_else(keyframes, monkeypatch):
-    updates = []
-    monkeypatch.setattr(PoseGraph, "update", _counted(PoseGraph.update, updates))
-    behind, unasked = back_end(Gate(), min_gap_s=4.0), back_end(Gate(), min_gap_s=4.0)
-    with pytest.raises(SlamError, match="no keyframe yet"):
-        behind.T_world_odom()
-    corrections = []
+def test_corrections_come_by_themselves_one_after_the_other(keyframes):
+    behind = back_end(Gate(), min_gap_s=4.0)
+    (first,) = behind.corrections
+    assert first.version == 0 and first.newest_id == -1
+    np.testing.assert_array_equal(first.T_world_odom[0], np.eye(4))
     for keyframe, tie, rgb in drifting(keyframes):
-        behind.insert(keyframe, tie, rgb)
-        corrections.append(behind.T_world_odom())
-        unasked.insert(keyframe, tie, rgb)
-    assert len(updates) == 4 and len(set(map(id, updates))) == 1  # all of the one that was asked
-    np.testing.assert_allclose(corrections[1], np.eye(4), atol=1e-6)
-    assert corrections[3][0, 3] < -0.04  # most of 6 cm, for the loops say that nothing moved
-    solved = behind.solve()
-    T_world_last = corrections[3] @ behind.keyframes[3].T_odom_cam
-    np.testing.assert_allclose(T_world_last, solved.T_world_kf[3], atol=1e-3)
-    np.testing.assert_array_equal(solved.T_world_kf, unasked.solve().T_world_kf)
+        behind.insert(keyframe, tie, {}, rgb)
+    behind.catch_up()
+    # The loops say that nothing moved: the first is closed by keyframe 2, two more by keyframe 3.
+    assert [each.newest_id for each in behind.corrections] == [-1, 2, 3]
+    assert [each.version for each in behind.corrections] == [0, 1, 2]
+    assert behind.corrections[0] is first  # what somebody holds stays what it was
+    newest = behind.corrections[-1]
+    assert newest.T_world_odom[0][0, 3] < -0.04  # most of 6 cm
+    T_world_last = newest.T_world_odom[0] @ behind.keyframes[3].T_odom_cam
+    np.testing.assert_allclose(T_world_last, newest.T_world_kf[3], atol=1e-12)
+    np.testing.assert_allclose(T_world_last, behind.solve({}).T_world_kf[3], atol=1e-3)
 
 
-def _counted(method, calls):
-    def counting(self):
-        calls.append(self)
-        return method(self)
+def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
+    is_let = threading.Event()
 
-    return counting
+    def slow(graph, probability):
+        assert is_let.wait(10.0)
+        return solve_beside(graph, probability)
+
+    monkeypatch.setattr("slam.loops.back_end.solve_beside", slow)
+    behind = back_end(Gate(), min_gap_s=4.0)
+    for keyframe, tie, rgb in drifting(keyframes):
+        behind.insert(keyframe, tie, {}, rgb)
+    behind.settle()  # all keyframes are taken in, although no correction is solved yet
+    assert len(behind.keyframes) == 4 and len(behind.corrections) == 1
+    is_let.set()
+    behind.catch_up()
+    assert len(behind.corrections) == 3
+
+
+def test_links_follow_the_odometry_that_moves_its_keyframes(keyframes):
+    behind = back_end(Gate(), min_gap_s=100.0)
+    moved = se3.exp(np.array([0.0, 0.1, 0.0, 0.3, 0.0, 0.0]))
+    for keyframe, rgb in keyframes[:3]:
+        behind.insert(keyframe, links(keyframe), {1: moved} if keyframe.id == 2 else {}, rgb)
+    solved = behind.solve({2: moved @ moved})
+    for link in solved.links:
+        np.testing.assert_allclose(link.motion.T_ref_query, moved, atol=1e-12)
+        np.testing.assert_array_equal(link.motion.information, INFORMATION)
+    np.testing.assert_allclose(solved.T_world_kf[2], moved @ moved, atol=1e-12)
+    np.testing.assert_array_equal(solved.T_world_kf, solved.T_world_kf_without)
 
 
 def test_a_few_keyframes_may_stand_in_line_and_no_more(keyframes):
@@ -190,7 +212,7 @@ def test_a_few_keyframes_may_stand_in_line_and_no_more(keyframes):
     def insert(ids):
         for k in ids:
             keyframe = replace(first, id=k)
-            behind.insert(keyframe, links(keyframe), rgb)
+            behind.insert(keyframe, links(keyframe), {}, rgb)
 
     def insert_more():
         insert(range(8, 12))
@@ -212,12 +234,12 @@ def test_after_a_failure_nothing_is_taken_in_and_whoever_asks_next_is_told(keyfr
     gate.fails_at = 3
     behind = back_end(gate)
     for keyframe, rgb in keyframes:
-        behind.insert(keyframe, links(keyframe), rgb)
+        behind.insert(keyframe, links(keyframe), {}, rgb)
     with pytest.raises(RecognizerError, match="NaN"):
         behind.settle()
     assert behind.settle() == ()
     assert [each.id for each in behind.keyframes] == [0, 1]
-    assert len(behind.solve().T_world_kf) == 2
+    assert len(behind.solve({}).T_world_kf) == 2
 
 
 class Torn(Gate):
@@ -237,13 +259,13 @@ class Torn(Gate):
 def test_after_a_failure_to_compare_nothing_is_taken_in_either(keyframes):
     behind = back_end(Torn(), min_gap_s=4.0)
     for keyframe, rgb in keyframes:
-        behind.insert(keyframe, links(keyframe), rgb)
+        behind.insert(keyframe, links(keyframe), {}, rgb)
     with pytest.raises(RecognizerError, match="cannot compare"):
         behind.settle()
-    assert len(behind.keyframes) == len(behind.solve().T_world_kf) == 2
+    assert len(behind.keyframes) == len(behind.solve({}).T_world_kf) == 2
     assert behind.similarities().shape == (2, 2)
     keyframe, rgb = keyframes[3]
-    behind.insert(replace(keyframe, segment=1), (), rgb)
+    behind.insert(replace(keyframe, segment=1), (), {}, rgb)
     with pytest.raises(RecognizerError, match="cannot compare"):
         behind.settle()
 
@@ -254,7 +276,7 @@ def test_who_has_to_wait_for_room_is_told_of_a_failure(keyframes):
     behind = back_end(gate)
     keyframe, rgb = keyframes[0]
     for _ in range(8):
-        behind.insert(keyframe, (), rgb)
+        behind.insert(keyframe, (), {}, rgb)
     with pytest.raises(RecognizerError, match="NaN"):
-        behind.insert(keyframe, (), rgb)
+        behind.insert(keyframe, (), {}, rgb)
     assert behind.is_empty

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.tracking.frame_log import FrameLog
+from slam.tracking.tracked_frame import TrackedFrame
+from slam.types import Keyframe
 
 AHEAD = np.eye(4)
 AHEAD[0, 3] = 0.5
@@ -13,8 +17,11 @@ def frames():
     """Return two frames on each of keyframes 0, 1 and 2, and two that were lost in between."""
     frames = FrameLog()
     for k in range(3):
-        frames.add(10.0 * k, k, np.eye(4))
-        frames.add(10.0 * k + 1.0, k, AHEAD)
+        (T_odom_cam,) = poses(100.0 + k)
+        here = TrackedFrame(k, np.eye(4), T_odom_cam, k // 2)
+        keyframe = Keyframe(k, 10.0 * k, T_odom_cam, None, None, segment=k // 2)
+        frames.add(10.0 * k, replace(here, new_keyframe=keyframe))
+        frames.add(10.0 * k + 1.0, replace(here, T_kf_cam=AHEAD, T_odom_cam=T_odom_cam @ AHEAD))
         frames.lose(10.0 * k + 2.0)
     return frames
 
@@ -31,6 +38,22 @@ def test_frames_move_with_their_keyframe(frames):
     assert trajectory.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0, 20.0, 21.0]
     assert trajectory.T_world_cam[:, 0, 3].tolist() == [0.0, 0.5, 4.0, 4.5, 7.0, 7.5]
     assert frames.per_keyframe() == {0: 2, 1: 2, 2: 2}
+
+
+def test_live_frames_stay_where_they_were_when_they_were_tracked(frames):
+    asked = []
+
+    def correction(segment, newest_id):
+        asked.append((segment, newest_id))
+        return None if segment else poses(1000.0)[0]
+
+    live = frames.live(poses(0.0, 4.0, 7.0), correction)
+    assert live.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0]
+    assert live.T_world_cam[:, 0, 3].tolist() == [1100.0, 1100.5, 1101.0, 1101.5]
+    assert asked == [(0, 0), (0, 0), (0, 1), (0, 1), (1, 2), (1, 2)]
+    assert frames.segment == 1 and FrameLog().segment is None
+    nowhere = frames.live(poses(np.nan, np.nan, 7.0), lambda *_: None)
+    assert nowhere.T_world_cam.shape == (0, 4, 4)
 
 
 def test_frames_of_a_keyframe_without_a_place_have_none_either(frames):
