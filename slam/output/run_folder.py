@@ -70,7 +70,7 @@ def write_run(
             (folder / name).unlink(missing_ok=True)
     settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
-    has_place = np.isfinite(result.T_world_kf[:, 0, 0])
+    of_keyframe = np.isin(result.trajectory.timestamps_s, keyframe_s)
     loops = [
         Link(attempt.match_id, attempt.query_id, attempt.outcome)
         for attempt in result.attempts
@@ -78,9 +78,11 @@ def write_run(
     ]
     write_tum(folder / "trajectory.txt", result.trajectory)
     write_tum(folder / "odometry.txt", result.odometry)
-    write_tum(
-        folder / "keyframes.txt", Trajectory(keyframe_s[has_place], result.T_world_kf[has_place])
+    # From the trajectory: the two files say the same of a keyframe, also where it is smoothed.
+    keyframes = Trajectory(
+        result.trajectory.timestamps_s[of_keyframe], result.trajectory.T_world_cam[of_keyframe]
     )
+    write_tum(folder / "keyframes.txt", keyframes)
     if truth is not None:
         write_tum(folder / "groundtruth.txt", truth)
     write_ledger(folder / "loops.jsonl", result, drift)

@@ -18,7 +18,7 @@ from slam.evaluation.trajectory import read_tum
 from slam.output.ledger import read_ledger
 from slam.output.run_folder import make_run_folder, write_run
 from slam.system import Slam
-from slam.types import Rejection, RejectionReason, RelativePose, SlamError
+from slam.types import Rejection, RejectionReason, RelativePose, SlamError, Trajectory
 
 NAMES = ("small room", "run_slam room")
 MINE = ("small room", "run_slam room --recognizer mine")
@@ -108,6 +108,28 @@ def test_trajectories_are_read_back(written, result, sequence):
         np.testing.assert_allclose(read.T_world_cam, poses, atol=1e-7)
     times_s = [keyframe.timestamp_s for keyframe in result.keyframes]
     np.testing.assert_allclose(read_tum(written / "keyframes.txt").timestamps_s, times_s)
+
+
+def lines_by_time(path):
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    return {line.split()[0]: line for line in lines}
+
+
+@pytest.mark.parametrize("is_smoothed", [False, True])
+def test_keyframes_are_where_the_trajectory_says(tmp_path, written, result, is_smoothed):
+    folder = written
+    if is_smoothed:
+        T_world_cam = result.trajectory.T_world_cam.copy()
+        T_world_cam[:, :3, 3] += 0.01
+        there = Trajectory(result.trajectory.timestamps_s, T_world_cam)
+        config = Config(map=MapConfig(write=False))
+        write_run(tmp_path, replace(result, trajectory=there), None, None, config, *NAMES)
+        folder = tmp_path
+        graph = (folder / "pose_graph.g2o").read_text()
+        assert graph == (written / "pose_graph.g2o").read_text()
+    keyframes = lines_by_time(folder / "keyframes.txt")
+    assert len(keyframes) == len(result.keyframes)
+    assert keyframes.items() <= lines_by_time(folder / "trajectory.txt").items()
 
 
 def test_gtsam_reads_the_graph_and_agrees_with_it(written, result):
