@@ -16,7 +16,6 @@ from slam.types import SlamError
 PYRAMID_SCALE = 1.2
 """Ratio between neighbouring pyramid levels; a feature's pixel noise grows with it."""
 
-_Acceleration = Annotated[float, Field(ge=0.01, allow_inf_nan=False)]
 PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
 _Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -113,13 +112,10 @@ class GraphConfig(_Section):
 
 
 class MotionConfig(_Section):
-    """How the camera is carried: frames are smoothed accordingly, once all are placed."""
+    """How the camera moved between its frames."""
 
-    acceleration_m_s2: _Acceleration = 1.0
-    """Standard deviation of the acceleration along an axis; a calm hand's is 0.5 to 1. A large
-    number leaves the frames where they were tracked."""
-    angular_acceleration_rad_s2: _Acceleration = 5.0
-    """The same of the turning; a calm hand's is 3 to 5."""
+    smooth: bool = False
+    """Smooth all frames once they are placed, as far as the run itself shows that it helps."""
 
 
 class EvaluationConfig(_Section):

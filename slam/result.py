@@ -51,11 +51,13 @@ class SlamResult:
         camera: the camera it was run with.
         keyframes: the K keyframes in order of time.
         T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
+            Not smoothed, whatever the trajectories are.
         odometry: every placed frame, as it was tracked (drifting); one motion joins two segments.
         live: the same, each corrected by the loops that were closed until then; without the frames
             of a segment of which was not known yet where it lies.
         without_loops: the same in the end, with all that is done to the map but loop closure.
-        trajectory: the same in the end, corrected.
+        trajectory: the same in the end, corrected; `T_world_kf` at the keyframes' times. These last
+            two are smoothed if `motion.smooth` asks for it and the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.

@@ -222,9 +222,12 @@ class Slam:
 
     def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
         trajectory = self._frames.trajectory(T_any_kf)
-        if self._front_end is self._given_poses:  # that odometry knows best how its camera moves
+        # An odometry from elsewhere knows best how its camera moves.
+        if not self._config.motion.smooth or self._front_end is self._given_poses:
             return trajectory
-        return smoothed(trajectory, self._config.motion, self._session_starts_s)
+        segments = [keyframe.segment for keyframe in self._back_end.keyframes]
+        breaks_s = [*self._session_starts_s, *self._frames.breaks_s(segments)]
+        return smoothed(trajectory, breaks_s)
 
 
 def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> tuple[FloatArray, FloatArray]:

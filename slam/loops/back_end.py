@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
+from slam.geometry import se3
 from slam.loops.atlas import Atlas, Correction, LargestSubmap
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.submaps import NEEDED_PLACES
@@ -82,7 +83,7 @@ class BackEnd:
         self._failure: RecognizerError | None = None  # nothing after it is taken in
         self._attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
-        self.corrections = [Correction(0, -1, {}, {0: np.eye(4)})]
+        self.corrections = [Correction(0, -1, {}, {})]
 
     @property
     def is_empty(self) -> bool:
@@ -101,6 +102,9 @@ class BackEnd:
         Raises:
             RecognizerError: the recognizer failed on one before; those until then are in the graph.
         """
+        if self.is_empty:  # its camera is where the world begins
+            T_world_odom = {keyframe.segment: se3.inverse(keyframe.T_odom_cam)}
+            self.corrections = [Correction(0, -1, {}, T_world_odom)]
         if len(self._queue) == _MAX_QUEUED:
             self._next_result()
         # A copy: cameras reuse their memory.

@@ -69,6 +69,18 @@ def test_keyframes_that_nobody_knows_take_their_frames_with_them(frames):
     assert frames.untracked_s(poses(0.0, 4.0)).tolist() == [2.0, 12.0, 20.0, 21.0, 22.0]
 
 
+def test_a_path_breaks_where_the_camera_was_lost_or_another_segment_begins(frames):
+    assert frames.breaks_s([0, 0, 0]).tolist() == [10.0, 20.0]
+    unbroken = FrameLog()
+    for k, time_s in enumerate((0.0, 1.0, 2.0, 3.0, 4.0)):
+        unbroken.add(time_s, k, np.eye(4))
+    assert unbroken.breaks_s([0, 0, 1, 1, 0]).tolist() == [2.0, 4.0]
+    assert unbroken.breaks_s([0, 0, 1]).tolist() == [2.0]
+    unbroken.lose(2.5)
+    assert unbroken.breaks_s([0] * 5).tolist() == [3.0]
+    assert len(FrameLog().breaks_s([])) == 0
+
+
 def test_lost_frames_and_those_apart_are_warned_of(frames):
     lost, apart = frames.warnings(poses(0.0, np.nan, 7.0))
     assert lost.startswith("3 of 9 frames could not be tracked") and lost.endswith("2.000 s")
