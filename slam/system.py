@@ -225,9 +225,7 @@ class Slam:
         # An odometry from elsewhere knows best how its camera moves.
         if not self._config.motion.smooth or self._front_end is self._given_poses:
             return trajectory
-        segments = [keyframe.segment for keyframe in self._back_end.keyframes]
-        breaks_s = [*self._session_starts_s, *self._frames.breaks_s(segments)]
-        return smoothed(trajectory, breaks_s)
+        return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
 
 
 def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> tuple[FloatArray, FloatArray]:

@@ -2,7 +2,7 @@
 """Every frame and the keyframe it was placed against: it is corrected when the keyframe is."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -119,17 +119,15 @@ class FrameLog:
             T_world_cam=np.array([T @ each.T_odom_cam for each, T in known]).reshape(-1, 4, 4),
         )
 
-    def breaks_s(self, segments: Sequence[int]) -> FloatArray:
+    def breaks_s(self) -> FloatArray:
         """Return when frames were taken that need not be near the one before.
 
-        They are the first after a lost one, and those on a keyframe of another segment; segments
-        are the keyframes' by id.
+        They are the first after a lost one, and the first of another segment.
         """
-        frames = self._on(np.ones(len(segments), dtype=bool))
-        times_s = np.array([frame.timestamp_s for frame in frames])
-        segment = np.array([segments[frame.keyframe_id] for frame in frames])
+        times_s = np.array([frame.timestamp_s for frame in self._frames])
+        segments = np.array([frame.segment for frame in self._frames], dtype=np.int64)
         lost_before = np.searchsorted(self._lost_s, times_s)
-        is_break = (np.diff(segment) != 0) | (np.diff(lost_before) != 0)
+        is_break = (np.diff(segments) != 0) | (np.diff(lost_before) != 0)
         return np.asarray(times_s[1:][is_break], np.float64)
 
     def unjoined_s(self, T_any_kf: FloatArray) -> FloatArray:

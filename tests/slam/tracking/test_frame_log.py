@@ -70,15 +70,14 @@ def test_keyframes_that_nobody_knows_take_their_frames_with_them(frames):
 
 
 def test_a_path_breaks_where_the_camera_was_lost_or_another_segment_begins(frames):
-    assert frames.breaks_s([0, 0, 0]).tolist() == [10.0, 20.0]
+    assert frames.breaks_s().tolist() == [10.0, 20.0]
     unbroken = FrameLog()
-    for k, time_s in enumerate((0.0, 1.0, 2.0, 3.0, 4.0)):
-        unbroken.add(time_s, k, np.eye(4))
-    assert unbroken.breaks_s([0, 0, 1, 1, 0]).tolist() == [2.0, 4.0]
-    assert unbroken.breaks_s([0, 0, 1]).tolist() == [2.0]
+    for k, segment in enumerate((0, 0, 1, 1, 0)):
+        unbroken.add(float(k), TrackedFrame(k, np.eye(4), np.eye(4), segment))
+    assert unbroken.breaks_s().tolist() == [2.0, 4.0]
     unbroken.lose(2.5)
-    assert unbroken.breaks_s([0] * 5).tolist() == [3.0]
-    assert len(FrameLog().breaks_s([])) == 0
+    assert unbroken.breaks_s().tolist() == [2.0, 3.0, 4.0]
+    assert len(FrameLog().breaks_s()) == 0
 
 
 def test_lost_frames_and_those_apart_are_warned_of(frames):
