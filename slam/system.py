@@ -38,10 +38,10 @@ class Slam:
         self._camera = camera
         self._config = config or Config()
         self.clock = StageClock()
-        self._odometry = RgbdOdometry(camera, self._config)
+        self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
+        self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize)
         self._given_poses = GivenPoses(camera, self._config)
         self._front_end: RgbdOdometry | GivenPoses = self._odometry  # where frames come through
-        self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
         self._frames = FrameLog()
         self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
@@ -57,8 +57,8 @@ class Slam:
 
         Raises:
             SlamError: the frame is not of the camera's size, or the time does not increase.
-            RecognizerError: the recognizer failed on a keyframe, up to eight before this one; what
-                was done until then can be finished.
+            RecognizerError: the recognizer failed on a keyframe, up to eight before this one, or on
+                this frame, where the camera was lost; what was done until then can be finished.
         """
         check_frame(frame, self._camera, self._last_s)
         self._enter(self._odometry, frame)

@@ -75,6 +75,15 @@ class LoopCloser:
         self._index.add(embedding)
         return attempts
 
+    def most_similar(self, embedding: NDArray[np.float32]) -> list[int]:
+        """Return the keyframes, however new, that are similar enough to be verified, best first.
+
+        Raises:
+            RecognizerError: the recognizer compares its embeddings itself, and failed.
+        """
+        ids, similarities = self._index.query(embedding, self._loop_config.candidates)
+        return [int(k) for k in ids[similarities >= self.min_similarity]]
+
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes so far are, -1 to 1."""
         return self._index.similarities()

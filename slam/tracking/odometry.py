@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config import Config, VerificationConfig
 from slam.geometry import se3
@@ -40,8 +42,15 @@ _MOST_MODELS = 2  # a lost camera is looked for where the last two left it
 class RgbdOdometry:
     """Tracks a camera frame by frame and decides which frames become keyframes."""
 
-    def __init__(self, camera: Camera, config: Config) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        config: Config,
+        recognize: Callable[[NDArray[np.uint8]], Sequence[int]] = lambda _: (),
+    ) -> None:
+        """Make an odometry that asks which keyframes look like a (H, W, 3) RGB image, if lost."""
         self._camera = camera
+        self._recognize = recognize
         self._config = config.odometry
         # A frame that follows its keyframe needs less evidence than a jump across the map.
         few = config.odometry.min_inliers
@@ -56,8 +65,9 @@ class RgbdOdometry:
         self._keyframes: list[Keyframe] = []
         self._moved: set[int] = set()  # keyframes that were adjusted since the last new one
         self._segments = 0
-        self._near = 0  # the segment whose landmarks the local map has gathered
+        self._keyframes: list[Keyframe] = []
         self._models: list[MotionModel] = []  # the last is the one that is followed
+        self._near: MotionModel | None = None  # around which the local map has gathered landmarks
 
     @property
     def map(self) -> LandmarkMap:
@@ -72,7 +82,11 @@ class RgbdOdometry:
     def track(self, frame: Frame) -> TrackedFrame | Rejection:
         """Place a frame, or say why it cannot be placed; later frames are tried all the same.
 
-        A frame that shows enough, but nothing of what was seen last, begins a new segment.
+        A frame that shows enough, but nothing of what was seen last or recognized, begins a new
+        segment.
+
+        Raises:
+            RecognizerError: whoever was asked to recognize the frame failed.
         """
         seen = self._extractor.extract(frame)
         self.settle()
@@ -85,11 +99,14 @@ class RgbdOdometry:
             frame_pose = self._follow(view)
         if not isinstance(frame_pose, FramePose):
             frame_pose = self._relocalize(view)
+        is_worth_more = view.with_depth >= self._worth_a_segment
+        if not isinstance(frame_pose, FramePose) and is_worth_more:
+            frame_pose = self._recognized(view) or frame_pose
         if isinstance(frame_pose, FramePose):
             return self._go_on(*self._straightened_again(view, seen, frame_pose))
         for model in self._models:
             model.has_missed = True
-        return self._start(view) if view.with_depth >= self._worth_a_segment else frame_pose
+        return self._start(view) if is_worth_more else frame_pose
 
     def _straightened_again(
         self, view: View, seen: Features, frame_pose: FramePose
@@ -119,14 +136,16 @@ class RgbdOdometry:
         """Begin a segment whose origin is the view."""
         if view.with_depth < (needed := self._tracking_config.min_matches):
             return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
-        # A segment that no second frame followed is nothing to come back to.
-        worthwhile = [model for model in self._models if model.is_followed]
-        model = MotionModel(self._segments, last_s=view.frame.timestamp_s)
-        self._models = [*worthwhile[1 - _MOST_MODELS :], model]
+        self._go_over_to(MotionModel(self._segments, last_s=view.frame.timestamp_s))
         self._segments += 1
         here = FramePose(np.eye(4), empty_pairs(), np.zeros((6, 6)))
         keyframe = self._insert(view, here, turning_rad_s=0.0)
         return self._placed(keyframe, np.eye(4), keyframe)
+
+    def _go_over_to(self, model: MotionModel) -> None:
+        # A segment that no second frame followed is nothing to come back to.
+        worthwhile = [model for model in self._models if model.is_followed]
+        self._models = [*worthwhile[1 - _MOST_MODELS :], model]
 
     def _follow(self, view: View) -> FramePose | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
@@ -143,12 +162,16 @@ class RgbdOdometry:
         return rejection
 
     def _relocalize(self, view: View) -> FramePose | Rejection:
-        """Compare the view with all features of the last keyframes, wherever it may be."""
+        """Compare the view with all features of the last keyframes, wherever it may be.
+
+        After a jump the very last alone is compared: what else looks like the view is recognized.
+        """
         is_jump = False
         for model in reversed(self._models):
             is_jump = is_jump or model.is_cold(view.frame.timestamp_s)
             config = self._jump_config if is_jump else self._tracking_config
-            frame_pose = self._relocalize_against(model, view, config)
+            keyframes = model.recent[-1:] if is_jump else model.recent[::-1]
+            frame_pose = self._relocalize_against(keyframes, view, config)
             if isinstance(frame_pose, FramePose):
                 self._models.remove(model)
                 self._models.append(model)
@@ -156,11 +179,32 @@ class RgbdOdometry:
             is_jump = is_jump or model.is_followed  # what was before it is across the map
         return frame_pose
 
+    def _recognized(self, view: View) -> FramePose | None:
+        """Compare the view with the keyframes that look like it, of whatever time and segment."""
+        for k in self._recognize(view.frame.rgb):
+            keyframe = self._keyframes[k]
+            frame_pose = self._relocalize_against([keyframe], view, self._jump_config)
+            if isinstance(frame_pose, FramePose):
+                self._go_over_to(self._model_at(keyframe))
+                return frame_pose
+        return None
+
+    def _model_at(self, keyframe: Keyframe) -> MotionModel:
+        """Return the model of a camera that has last been where a keyframe was taken."""
+        covisible = self.map.covisible_keyframes(self.map.seen_by([keyframe.id]))
+        others = [k for k in covisible if k != keyframe.id][: self._config.links]
+        return MotionModel(
+            keyframe.segment,
+            recent=[*(self._keyframes[k] for k in reversed(others)), keyframe],
+            last_s=keyframe.timestamp_s,
+            T_odom_last=self.map.keyframes[keyframe.id].T_map_cam,
+        )
+
     def _relocalize_against(
-        self, model: MotionModel, view: View, config: VerificationConfig
+        self, keyframes: Sequence[Keyframe], view: View, config: VerificationConfig
     ) -> FramePose | Rejection:
         rejections = []
-        for keyframe in reversed(model.recent):
+        for keyframe in keyframes:
             outcome = estimate_relative_pose(
                 keyframe.features, view.features, self._camera, config
             ).outcome
@@ -210,14 +254,14 @@ class RgbdOdometry:
             se3.translation_norm(T_ref_cam) > self._config.keyframe_translation_m
             or np.degrees(se3.rotation_angle(T_ref_cam)) > self._config.keyframe_rotation_deg
             or shared < self._config.keyframe_inlier_share * model.most_shared
-            or model.segment != self._near  # what is nearby has to be gathered again
+            or model is not self._near  # what is nearby has to be gathered again
         )
 
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
         """Make a keyframe of the view, which stays where it was placed until the next frame."""
         features, model, T_map_cam = view.features, self._models[-1], frame_pose.T_map_cam
         new_id = self._local_map.insert(features, view.grid, T_map_cam, frame_pose.pairs)
-        model.most_shared, self._near = 0, model.segment
+        model.most_shared, self._near = 0, model
         keyframe = new_keyframe(
             new_id, view.frame, features, T_map_cam, turning_rad_s, model.segment
         )

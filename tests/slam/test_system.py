@@ -573,3 +573,54 @@ def test_sessions_of_poses_from_elsewhere_make_one_map(drifting, sequence):
     np.testing.assert_array_equal(result.odometry.T_world_cam[:8], drifting[1][:8])
     error = trajectory_error(result.trajectory, sequence.ground_truth, EvaluationConfig())
     assert error.ate_rmse_m < 0.05
+
+
+def uncovered(frames):
+    """Return a drive there, three seconds in the dark, and other images of the way near the start.
+
+    The times are new. Where the lens is uncovered the camera was long ago, and not when it was
+    covered.
+    """
+    dark = [black(frame) for frame in frames[:22]]
+    some = [*frames[:28], *dark, *frames[49:59]]
+    return [replace(frame, timestamp_s=100.0 + i / 7.5) for i, frame in enumerate(some)]
+
+
+def T_odom_cams(frames):
+    """Run frames and return the (4, 4) pose of each as it was placed, None where it was not."""
+    slam, T_odom_kf, found = Slam(CAMERA, GradientRecognizer()), {}, []
+    for frame in frames:
+        placed = slam.process(frame)
+        if isinstance(placed, Rejection):
+            found.append(None)
+            continue
+        if placed.new_keyframe:
+            T_odom_kf[placed.new_keyframe.id] = placed.new_keyframe.T_odom_cam
+            found.append(placed.new_keyframe.T_odom_cam)
+        else:
+            found.append(T_odom_kf[placed.keyframe_id] @ placed.T_kf_cam)
+    return found, slam.finish()
+
+
+def test_a_lens_that_is_uncovered_at_a_place_seen_long_ago_is_placed_by_its_first_frame(
+    frames, T_first_cam
+):
+    found, result = T_odom_cams(uncovered(frames))
+    assert all(each is None for each in found[28:50])
+    error = se3.inverse(T_first_cam[49:59]) @ np.array(found[50:])
+    assert se3.translation_norm(error).max() < 0.05
+    assert np.degrees(se3.rotation_angle(error)).max() < 2.0
+    assert {keyframe.segment for keyframe in result.keyframes} == {0}
+    assert len(result.trajectory) == 38
+    again, result_again = T_odom_cams(uncovered(frames))
+    assert [None if each is None else each.tobytes() for each in again] == [
+        None if each is None else each.tobytes() for each in found
+    ]
+    np.testing.assert_array_equal(result_again.T_world_kf, result.T_world_kf)
+
+
+def test_a_lens_that_is_uncovered_where_nothing_is_known_begins_a_segment(frames):
+    later = [replace(frame, timestamp_s=110.0 + i / 7.5) for i, frame in enumerate(frames[24:34])]
+    found, result = T_odom_cams([*uncovered(frames)[:10], *uncovered(frames)[28:50], *later])
+    np.testing.assert_array_equal(found[32], np.eye(4))
+    assert {keyframe.segment for keyframe in result.keyframes} == {0, 1}

@@ -282,3 +282,42 @@ def test_who_has_to_wait_for_room_is_told_of_a_failure(keyframes):
     with pytest.raises(RecognizerError, match="NaN"):
         behind.insert(keyframe, (), {}, rgb)
     assert behind.is_empty
+
+
+def test_an_image_is_recognized_by_all_keyframes_that_were_queued_before(keyframes, frames):
+    gate, found = Gate(), []
+    behind = back_end(gate)
+    gate.is_open.clear()
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    asking = threading.Thread(target=lambda: found.append(behind.recognize(frames[1].rgb)))
+    asking.start()
+    asking.join(0.05)
+    assert not found
+    gate.is_open.set()
+    asking.join(10.0)
+    assert found == [[0, 1, 2, 3]]
+    assert len(behind.solve().T_world_kf) == 4
+
+
+def test_after_a_failure_nothing_is_recognized_and_it_is_still_told(keyframes):
+    gate = Gate()
+    gate.fails_at = 3
+    behind = back_end(gate)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), rgb)
+    assert behind.recognize(keyframes[0][1]) == []
+    with pytest.raises(RecognizerError, match="NaN"):
+        behind.settle()
+
+
+def test_a_failure_to_recognize_is_told_at_once_and_does_no_harm(keyframes):
+    gate = Gate()
+    gate.fails_at = 2
+    behind = back_end(gate)
+    first, rgb = keyframes[0]
+    behind.insert(first, (), rgb)
+    with pytest.raises(RecognizerError, match="NaN"):
+        behind.recognize(rgb)
+    assert behind.recognize(rgb) == [0]
+    assert len(behind.solve().T_world_kf) == 1

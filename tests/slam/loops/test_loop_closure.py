@@ -354,3 +354,13 @@ def test_a_certificate_is_put_beside_pairs_of_two_segments_too(views):
     close_all(loop_closer, views, [0, 0, 1])
     live = loop_closer.calibration().live_similarities
     np.testing.assert_allclose(live, np.cos(np.radians([2, 1])), atol=1e-6)
+
+
+def test_an_image_without_a_keyframe_is_compared_with_all_of_them_however_new(views):
+    loop_closer = closer(camera=views.camera, candidates=3, min_similarity=0.9)
+    run(loop_closer, views, [0, 60, 10, 20, 5])
+    assert loop_closer.most_similar(direction(6)) == [4, 2, 0]
+    assert loop_closer.most_similar(direction(60)) == [1]
+    assert loop_closer.most_similar(direction(180)) == []
+    assert closer().most_similar(direction(0)) == []
+    assert len(loop_closer.similarities()) == 5  # it is not remembered

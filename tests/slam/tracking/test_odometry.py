@@ -9,9 +9,10 @@ from slam.config import Config, OdometryConfig
 from slam.geometry import se3
 from slam.geometry.motion_noise import translation_sigma_m
 from slam.tracking.odometry import RgbdOdometry, TrackedFrame
-from slam.types import Camera, Rejection, RejectionReason
+from slam.types import Camera, Frame, Rejection, RejectionReason
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+BLACK = np.zeros((240, 320, 3), np.uint8), np.zeros((240, 320), np.float32)
 
 
 def run(frames, config=None):
@@ -369,3 +370,72 @@ def test_a_session_begins_anew_even_where_the_last_one_ended(frames):
     begun = tracker.track(frames[6]).new_keyframe
     assert begun.segment == 1
     np.testing.assert_array_equal(begun.T_odom_cam, np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def uncovered(frames):
+    """Return a drive there, three seconds in the dark, and frames of the way back near the start.
+
+    The frames are stamped anew, and images of the way back are others than those of the way there.
+    """
+    out, back = frames[:26], frames[49:57]
+    return [*out, *dark(out[-1].timestamp_s), *after(out[-1].timestamp_s + 3.0, back)]
+
+
+def after(last_s, some):
+    return [replace(frame, timestamp_s=last_s + i / 7.5) for i, frame in enumerate(some, start=1)]
+
+
+def dark(last_s):
+    return [Frame(last_s + i / 7.5, *BLACK) for i in range(1, 22)]
+
+
+class Memory:
+    """Recognizes what it is told to, and remembers for how many frames it was asked."""
+
+    def __init__(self, *keyframe_ids):
+        self.keyframe_ids, self.asked = keyframe_ids, 0
+
+    def __call__(self, rgb):
+        assert rgb.shape == (240, 320, 3)
+        self.asked += 1
+        return self.keyframe_ids
+
+
+def run_with(memory, frames):
+    odometry = RgbdOdometry(CAMERA, Config(), memory)
+    return [odometry.track(frame) for frame in frames]
+
+
+def test_a_lost_camera_is_placed_wherever_it_is_recognized(uncovered, T_first_cam):
+    memory = Memory(6, 2)  # the first looks like it, but is another place
+    found = run_with(memory, uncovered)
+    assert memory.asked == 1  # frames that follow or show nothing are not looked up
+    assert all(isinstance(each, Rejection) for each in found[26:47])
+    assert segment_of_each([*found[:26], *found[47:]]) == [0] * 34
+    placed = found[47]
+    assert placed.keyframe_id == 2 and placed.new_keyframe is not None
+    assert placed.links[0].ref_id == 2 and len(placed.links) > 1
+    assert max(link.ref_id for link in placed.links) < 6
+    error_m, error_deg = errors(poses([*found[:26], *found[47:]])[26:], T_first_cam[49:57])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
+
+
+def test_who_is_not_recognized_or_not_where_he_seems_to_be_begins_a_segment(uncovered):
+    for memory in (Memory(), Memory(6)):
+        found = run_with(memory, uncovered)
+        assert segment_of_each([*found[:26], *found[47:]]) == [0] * 26 + [1] * 8
+        assert found[47].links == () and memory.asked == 1
+
+
+def test_a_camera_that_is_back_in_another_part_of_its_segment_looks_around_anew(
+    uncovered, T_first_cam
+):
+    last_s = uncovered[-1].timestamp_s
+    away = after(last_s + 3.0, uncovered[20:26])
+    found = run_with(Memory(2), [*uncovered, *dark(last_s), *away])
+    assert found[-6].new_keyframe is not None and found[-6].keyframe_id == 6
+    placed = [each for each in found if isinstance(each, TrackedFrame)]
+    assert segment_of_each(placed) == [0] * 40
+    error_m, error_deg = errors(poses(placed)[-6:], T_first_cam[20:26])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
