@@ -47,8 +47,6 @@ class FeaturesConfig(_Section):
     """Pyramid levels, each 1.2 times smaller than the one before."""
     fast_threshold: Annotated[int, Field(ge=1, le=255)] = 12
     """Smallest brightness step of a corner; lower finds more corners in blurred images."""
-    max_depth_m: PositiveFloat = 6.0
-    """Depth beyond this is too noisy to place a feature in space."""
 
 
 class VerificationConfig(_Section):
@@ -78,8 +76,9 @@ class OdometryConfig(_Section):
 
     min_inliers: PositiveInt = 15
     """Matches that must agree with the motion, else the frame counts as not tracked."""
-    keyframe_translation_m: PositiveFloat = 0.2
-    """A camera this far from its keyframe starts a new one."""
+    keyframe_translation: PositiveFloat = 0.15
+    """A camera this far from its keyframe starts a new one; the unit is the median depth of what is
+    seen."""
     keyframe_rotation_deg: PositiveFloat = 15.0
     """A camera turned this much against its keyframe starts a new one."""
     keyframe_inlier_share: _Fraction = 0.35

@@ -71,8 +71,7 @@ class FeatureExtractor:
         undistorted_px = undistort(pixels, self._camera)
         u, v = np.rint(pixels).astype(np.int64).T
         depth_m = frame.depth_m[v, u].astype(np.float64)
-        is_usable = (depth_m > 0.0) & (depth_m <= self._config.max_depth_m)
-        depth_m = np.where(is_usable, depth_m, np.nan)
+        depth_m = np.where((depth_m > 0.0) & np.isfinite(depth_m), depth_m, np.nan)
         return Features(
             pixels=pixels,
             undistorted_px=undistorted_px,

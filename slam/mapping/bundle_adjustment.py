@@ -19,6 +19,7 @@ from slam.types import Camera, FloatArray, IntArray
 _FIRST_DAMPING = 1e-5
 _SMALL_GAIN = 1e-4  # relative; less is not worth another step
 _MAX_REFUSALS = 5
+_TRACE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -204,8 +205,11 @@ def _solve(system: _System, structure: _Structure, damping: float) -> tuple[Floa
 def _damped(blocks: FloatArray, damping: float) -> FloatArray:
     size = blocks.shape[-1]
     diagonal = np.einsum("nii->ni", blocks)
-    # The trace of curvature keeps what no observation holds where it is.
-    return np.asarray(blocks + (damping * diagonal + 1e-6)[:, :, None] * np.eye(size))
+    # A trace of curvature keeps what no observation holds where it is: of each three that have one
+    # unit, so that the size of the world does not count, or next to nothing where all are 0.
+    threes = diagonal.reshape(len(blocks), -1, 3)
+    trace = np.repeat(_TRACE * threes.mean(axis=2) + 1e-12, 3, axis=1)
+    return np.asarray(blocks + (damping * diagonal + trace)[:, :, None] * np.eye(size))
 
 
 def _moved(bundle: Bundle, step_cam: FloatArray, step_point: FloatArray) -> Bundle:

@@ -15,7 +15,6 @@ from slam.geometry.reprojection import Observations, project
 from slam.mapping.landmarks import UNSEEN, Landmarks
 from slam.types import Camera, Features, FloatArray, IntArray
 
-_MIN_DEPTH_M = 0.1
 _MIN_COSINE = 0.5  # a landmark seen from more than 60 degrees aside looks different
 
 
@@ -72,7 +71,7 @@ class LandmarkMap:
         distances_m = np.linalg.norm(rays, axis=1)
         cosines = np.einsum("ni,ni->n", rays, table.directions[ids]) / distances_m
         points_cam_m = rays @ T_map_cam[:3, :3]
-        in_view = (points_cam_m[:, 2] > _MIN_DEPTH_M) & (cosines > _MIN_COSINE)
+        in_view = (points_cam_m[:, 2] > 0.0) & (cosines > _MIN_COSINE)
         expected_px = np.full((len(ids), 2), -1.0)
         expected_px[in_view] = project(points_cam_m[in_view], self.camera)[0][:, :2]
         size_px = (self.camera.width, self.camera.height)
@@ -148,6 +147,11 @@ class LandmarkMap:
         of_a, of_b = (self.landmarks.resolve(self.keyframes[k].landmark_of) for k in (a, b))
         _, in_a, in_b = np.intersect1d(of_a, of_b, return_indices=True)
         return np.asarray(np.column_stack([in_a, in_b])[of_a[in_a] != UNSEEN])
+
+    def median_depth_m(self, T_map_cam: FloatArray, ids: IntArray) -> float:
+        """Return how far from a camera at (4, 4) T_map_cam landmarks are, along its axis."""
+        rays = self.landmarks.positions_m[ids] - T_map_cam[:3, 3]
+        return float(np.median(rays @ T_map_cam[:3, 2]))
 
     def move_keyframes(self, keyframe_ids: Sequence[int], T_map_kf: FloatArray) -> None:
         """Move K keyframes to (K, 4, 4) poses, and with them the landmarks that they created."""

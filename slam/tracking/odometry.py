@@ -250,8 +250,9 @@ class RgbdOdometry:
         seen_by_reference = self.map.seen_by([model.recent[-1].id])
         shared = int(np.count_nonzero(np.isin(frame_pose.pairs[:, 0], seen_by_reference)))
         model.most_shared = max(model.most_shared, shared)
+        depth_m = self.map.median_depth_m(frame_pose.T_map_cam, frame_pose.pairs[:, 0])
         return bool(
-            se3.translation_norm(T_ref_cam) > self._config.keyframe_translation_m
+            se3.translation_norm(T_ref_cam) > self._config.keyframe_translation * depth_m
             or np.degrees(se3.rotation_angle(T_ref_cam)) > self._config.keyframe_rotation_deg
             or shared < self._config.keyframe_inlier_share * model.most_shared
             or model is not self._near  # what is nearby has to be gathered again

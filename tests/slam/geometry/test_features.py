@@ -83,24 +83,25 @@ def test_no_more_features_than_wanted():
 def test_depth_is_taken_where_the_feature_was_seen():
     v, u = np.mgrid[:240, :320]
     depth_m = 1.0 + 0.01 * u + 0.001 * v
-    features = extract(frame_of(blocks(), depth_m), FeaturesConfig(max_depth_m=100.0))
+    features = extract(frame_of(blocks(), depth_m))
     expected = 1.0 + [0.01, 0.001] @ np.rint(features.pixels).T
     np.testing.assert_allclose(features.depth_m, expected, rtol=1e-6)
 
 
-def test_depth_that_is_missing_or_too_far_is_unknown():
-    depth_m = np.full((240, 320), 6.0)
+@pytest.mark.parametrize("far_m", [0.02, 6.0, 60.0])
+def test_depth_that_is_missing_is_unknown_and_none_is_too_far(far_m):
+    depth_m = np.full((240, 320), far_m)
     depth_m[:, 60:120] = 0.0
-    depth_m[:, 120:180] = 6.1
+    depth_m[:, 120:180] = -1.0
     depth_m[:, 180:240] = np.nan
     depth_m[:, 240:] = np.inf
     features = extract(frame_of(blocks(), depth_m))
     is_known = np.rint(features.pixels[:, 0]) < 60
     assert 0 < is_known.sum() < len(is_known)
-    assert (features.depth_m[is_known] == 6.0).all()
+    np.testing.assert_allclose(features.depth_m[is_known], far_m, rtol=1e-6)
     assert np.isnan(features.depth_m[~is_known]).all()
     assert np.isnan(features.points_m[~is_known]).all()
-    np.testing.assert_array_equal(features.points_m[is_known, 2], 6.0)
+    np.testing.assert_allclose(features.points_m[is_known, 2], far_m, rtol=1e-6)
 
 
 @pytest.mark.parametrize("camera", FREIBURG.values(), ids=FREIBURG)

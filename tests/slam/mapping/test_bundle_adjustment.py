@@ -88,6 +88,31 @@ def test_observations_that_contradict_the_rest_do_not_agree(make_scene):
     assert se3.translation_norm(error).max() < 0.004
 
 
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_the_size_of_the_world_changes_nothing(make_scene, size):
+    scene = make_scene(noise=0.5)
+    start = shaken(bundle_of(scene))
+    measured = start.measured
+    scaled = replace(
+        start,
+        T_world_cam=start.T_world_cam * np.array([1.0, 1.0, 1.0, size]),
+        points_m=size * start.points_m,
+        measured=replace(
+            measured,
+            seen=measured.seen / [1.0, 1.0, size],
+            sigma=measured.sigma / [1.0, 1.0, size],
+        ),
+    )
+    scaled.T_world_cam[:, 3, 3] = 1.0
+    expected, found = (adjust(each, scene.camera, 20) for each in (start, scaled))
+    np.testing.assert_allclose(found.points_m / size, expected.points_m, atol=1e-6)
+    found_m, expected_m = found.T_world_cam[:, :3, 3] / size, expected.T_world_cam[:, :3, 3]
+    np.testing.assert_allclose(found_m, expected_m, atol=1e-6)
+    np.testing.assert_allclose(
+        found.T_world_cam[:, :3, :3], expected.T_world_cam[:, :3, :3], atol=1e-6
+    )
+
+
 def test_a_camera_and_a_point_that_nobody_measured_stay(make_scene):
     scene = make_scene()
     bundle = bundle_of(scene)

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,22 @@ def test_what_is_behind_or_seen_from_the_back_is_not_looked_for(one, scene):
     beyond = turned.copy()
     beyond[2, 3] = 5.0  # in front of it all points, but all that is known is their other side
     assert len(one.search(grid, beyond, np.arange(120), 1000.0)) == 0
+
+
+def test_however_close_a_landmark_is_it_is_found_and_its_depth_is_known(make_scene):
+    scene = make_scene()
+    small = [
+        replace(each, depth_m=0.01 * each.depth_m, points_m=0.01 * each.points_m)
+        for each in scene.features
+    ]
+    scene = scene._replace(features=small)
+    the_map = LandmarkMap(scene.camera, 8, 64)
+    ids = the_map.add_landmarks(add(the_map, scene, 0))
+    grid = FeatureGrid(small[0], scene.camera)
+    assert len(the_map.search(grid, scene.T_world_cam[0], ids, 3.0)) > 100
+    T_map_cam = se3.from_rotation_translation(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    expected_m = 1.0 + np.median(small[0].depth_m)
+    assert the_map.median_depth_m(T_map_cam, ids) == pytest.approx(expected_m)
 
 
 def test_a_keyframe_that_created_no_landmark_moves_none(one, scene):

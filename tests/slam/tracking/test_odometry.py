@@ -15,8 +15,8 @@ CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 BLACK = np.zeros((240, 320, 3), np.uint8), np.zeros((240, 320), np.float32)
 
 
-def run(frames, config=None):
-    tracker = RgbdOdometry(CAMERA, config or Config())
+def run(frames, config=None, camera=CAMERA):
+    tracker = RgbdOdometry(camera, config or Config())
     return [tracker.track(frame) for frame in frames]
 
 
@@ -32,6 +32,10 @@ def errors(T_odom_cam, T_truth_cam):
 
 def black(frame):
     return replace(frame, rgb=np.zeros_like(frame.rgb), depth_m=np.zeros_like(frame.depth_m))
+
+
+def larger(frame, factor):
+    return replace(frame, depth_m=np.float32(factor) * frame.depth_m)
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +202,7 @@ def test_a_fast_turn_is_followed(frames, T_first_cam):
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
-        ("keyframe_translation_m", 0.05),
+        ("keyframe_translation", 0.03),
         ("keyframe_rotation_deg", 3.0),
         ("keyframe_inlier_share", 0.9),
     ],
@@ -209,8 +213,29 @@ def test_each_setting_makes_more_keyframes(frames, tracked, setting, value):
     assert sum(each.new_keyframe is not None for each in stricter) > default
 
 
+@pytest.mark.parametrize("size", [0.25, 4.0, 16.0])
+def test_a_larger_world_and_its_sensor_are_tracked_as_the_smaller_one_is(frames, tracked, size):
+    camera = replace(CAMERA, depth_noise_m=CAMERA.depth_noise_m / size)
+    found = run([larger(frame, size) for frame in frames[:20]], camera=camera)
+    keyframes, expected = ([each.keyframe_id for each in some] for some in (found, tracked[:20]))
+    assert keyframes == expected and max(keyframes) > 2
+    T_odom_cam, T_expected = poses(found), poses(tracked[:20])
+    T_odom_cam[:, :3, 3] /= size
+    error_m, error_deg = errors(T_odom_cam, T_expected)
+    assert error_m.max() < 0.001 and error_deg.max() < 0.05
+
+
+def test_a_larger_world_is_tracked_where_nobody_says_how_noisy_its_depth_is(frames, T_first_cam):
+    found = run([larger(frame, 4.0) for frame in frames])
+    assert all(isinstance(each, TrackedFrame) for each in found)
+    T_odom_cam = poses(found)
+    T_odom_cam[:, :3, 3] /= 4.0
+    error_m, error_deg = errors(T_odom_cam, T_first_cam)
+    assert error_m.max() < 0.08 and error_deg.max() < 2.0
+
+
 def test_no_more_links_than_asked_for(frames):
-    config = OdometryConfig(links=0, keyframe_translation_m=0.05)
+    config = OdometryConfig(links=0, keyframe_translation=0.03)
     tracked = run(frames[:15], Config(odometry=config))
     links = [each.links for each in tracked if each.new_keyframe]
     assert len(links) > 3
