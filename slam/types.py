@@ -214,6 +214,12 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.timestamps_s)
 
+    def enlarged(self, factor: float) -> "Trajectory":
+        """Return the same path through a world that is so many times larger."""
+        T_world_cam = self.T_world_cam.copy()
+        T_world_cam[:, :3, 3] *= factor
+        return Trajectory(self.timestamps_s, T_world_cam)
+
 
 @dataclass(frozen=True)
 class Link:

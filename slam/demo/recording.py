@@ -31,27 +31,36 @@ def render_sequence(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
     camera: Camera = _DEMO_CAMERA,
+    frames_per_s: float = FRAMES_PER_S,
+    enlarged: float = 1.0,
 ) -> None:
     """Write a complete TUM RGB-D folder, camera.toml included, or nothing at all.
 
     Args:
         folder: must not exist yet, or be empty.
-        seconds: length at 15 frames per second; the default is two laps and a little more.
+        seconds: length; the default is two laps and a little more.
         seed: of the room, the camera's shake and the noise; the same seed gives the same bytes.
         progress: called with (frames done, frames in all).
         camera: what to render with.
+        frames_per_s: how often it takes an image.
+        enlarged: how many times larger room and walk are, for the same sensor: the colours stay,
+            and depth is seen as far as before.
 
     Raises:
         LoopcloseError: the folder is not empty or cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SlamError(f"there is something already; choose another folder or remove it: {folder}")
-    count = max(1, round(seconds * FRAMES_PER_S))
+    times_s = np.arange(max(1, round(seconds * frames_per_s))) / frames_per_s
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as scratch:
             unfinished = Path(scratch) / folder.name
-            _write_sequence(unfinished, count, seed, progress or (lambda *_: None), camera)
+            path = Trajectory(times_s + _START_S, drive(times_s, seed))
+            photograph = partial(_photograph, build_room(seed), camera, enlarged)
+            _write_images(unfinished, path, photograph, seed, progress or (lambda *_: None))
+            write_tum(unfinished / "groundtruth.txt", path.enlarged(enlarged))
+            write_camera(unfinished / CAMERA_FILE, camera)
             unfinished.replace(folder)
     except OSError as error:
         raise SlamError(
@@ -59,24 +68,24 @@ def render_sequence(
         ) from error
 
 
-def _write_sequence(
-    folder: Path, count: int, seed: int, progress: Callable[[int, int], None], camera: Camera
+def _write_images(
+    folder: Path,
+    path: Trajectory,
+    photograph: Callable[[FloatArray, Generator], tuple[bytes, bytes]],
+    seed: int,
+    progress: Callable[[int, int], None],
 ) -> None:
-    times_s = np.arange(count) / FRAMES_PER_S
-    truth = Trajectory(times_s + _START_S, drive(times_s, seed))
-    stamps = [f"{time_s:.6f}" for time_s in truth.timestamps_s]
+    count = len(path)
+    stamps = [f"{time_s:.6f}" for time_s in path.timestamps_s]
     for name, kind in (("rgb", "jpg"), ("depth", "png")):
         (folder / name).mkdir(parents=True)
         lines = [f"{stamp} {name}/{stamp}.{kind}\n" for stamp in stamps]
         (folder / f"{name}.txt").write_text("# timestamp filename\n" + "".join(lines))
-    write_tum(folder / "groundtruth.txt", truth)
-    write_camera(folder / CAMERA_FILE, camera)
-    photograph = partial(_photograph, build_room(seed), camera)
     # Noise belongs to the frame, not to the order in which threads happen to render.
     rngs = [np.random.default_rng([seed, 0xF0, index]) for index in range(count)]
     pool = ThreadPoolExecutor(4)
     try:
-        for index, (jpeg, png) in enumerate(pool.map(photograph, truth.T_world_cam, rngs)):
+        for index, (jpeg, png) in enumerate(pool.map(photograph, path.T_world_cam, rngs)):
             (folder / f"rgb/{stamps[index]}.jpg").write_bytes(jpeg)
             (folder / f"depth/{stamps[index]}.png").write_bytes(png)
             progress(index + 1, count)
@@ -85,12 +94,12 @@ def _write_sequence(
 
 
 def _photograph(
-    room: Room, camera: Camera, T_world_cam: FloatArray, rng: Generator
+    room: Room, camera: Camera, enlarged: float, T_room_cam: FloatArray, rng: Generator
 ) -> tuple[bytes, bytes]:
     """Return the colours as JPEG and the depth as 16-bit PNG, both with a Kinect's noise."""
-    perfect = render(room, camera, T_world_cam)
+    perfect = render(room, camera, T_room_cam)
     rgb = add_colour_noise(perfect.rgb, rng)
-    depth_m = add_kinect_noise(perfect.depth_m, camera, rng)
+    depth_m = add_kinect_noise(np.float32(enlarged) * perfect.depth_m, camera, rng)
     depth = np.rint(depth_m * camera.depth_scale).astype(np.uint16)
     jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
     png = cv2.imencode(".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]

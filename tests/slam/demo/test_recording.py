@@ -61,6 +61,30 @@ def test_the_same_seed_gives_the_same_bytes(rendered, tmp_path):
     )
 
 
+def test_a_larger_room_looks_the_same_and_most_of_it_is_beyond_the_sensors_range(
+    rendered, tmp_path
+):
+    render_sequence(tmp_path / "large", seconds=0.2, camera=SMALL, enlarged=3.0)
+    folders = (rendered, tmp_path / "large")
+    usual, large = (open_sequence(folder, InputConfig()) for folder in folders)
+    steps_m = [np.diff(each.ground_truth.T_world_cam[:, :3, 3], axis=0) for each in (usual, large)]
+    np.testing.assert_allclose(steps_m[1], 3.0 * steps_m[0], atol=1e-6)
+    for small, far in zip(usual, large, strict=True):
+        np.testing.assert_array_equal(small.rgb, far.rgb)
+        seen = (small.depth_m > 0.0) & (far.depth_m > 0.0)
+        assert 0.02 < seen.mean() < 0.5 * (small.depth_m > 0.0).mean()
+        assert np.median(far.depth_m[seen] / small.depth_m[seen]) == pytest.approx(3.0, rel=0.05)
+        assert far.depth_m.max() < 5.1
+
+
+def test_more_frames_a_second_are_more_of_the_same_path(rendered, tmp_path):
+    render_sequence(tmp_path / "fast", seconds=0.2, camera=SMALL, frames_per_s=60.0)
+    folders = (rendered, tmp_path / "fast")
+    usual, fast = (open_sequence(folder, InputConfig()).ground_truth for folder in folders)
+    np.testing.assert_allclose(fast.timestamps_s, 100.0 + np.arange(12) / 60, atol=1e-6)
+    np.testing.assert_allclose(fast.T_world_cam[::4], usual.T_world_cam, atol=1e-6)
+
+
 def test_geometry_finds_the_true_motion(tmp_path):
     camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
     render_sequence(tmp_path / "sequence", seconds=0.27, camera=camera)
