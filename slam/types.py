@@ -75,7 +75,8 @@ class Features:
         octaves: (N,) int, pyramid level: a feature's pixel noise grows with it.
         descriptors: (N, 32) uint8.
         depth_m: (N,) float64, metres along the optical axis, NaN where unknown.
-        points_m: (N, 3) float64, camera frame, NaN where depth is unknown.
+        points_m: (N, 3) float64, camera frame, NaN where unknown; a keyframe's without depth may be
+            known from other keyframes.
     """
 
     pixels: FloatArray

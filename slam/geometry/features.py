@@ -84,9 +84,16 @@ class FeatureExtractor:
 
 def match(a: Features, b: Features, max_distance: int) -> NDArray[np.int64]:
     """Return (M, 2) int, index pairs of features that are each other's nearest by Hamming."""
-    if len(a.pixels) == 0 or len(b.pixels) == 0:
+    return match_descriptors(a.descriptors, b.descriptors, max_distance)
+
+
+def match_descriptors(
+    a: NDArray[np.uint8], b: NDArray[np.uint8], max_distance: int
+) -> NDArray[np.int64]:
+    """Return the same of (N, 32) and (K, 32) descriptors."""
+    if len(a) == 0 or len(b) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a.descriptors, b.descriptors)
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
     pairs = [(m.queryIdx, m.trainIdx) for m in matches if m.distance <= max_distance]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 

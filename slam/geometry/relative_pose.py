@@ -20,6 +20,7 @@ from slam.types import (
 )
 
 _MIN_FOR_POSE = 6
+_ENOUGH_DEPTH = 0.5
 
 
 def estimate_relative_pose(
@@ -43,7 +44,12 @@ def measure_relative_pose(
     config: VerificationConfig,
 ) -> Verification:
     """Return the same from (M, 2) index pairs of features that are already matched."""
-    pairs = pairs[np.isfinite(reference.depth_m[pairs[:, 0]])]
+    has_depth = np.isfinite(reference.depth_m[pairs[:, 0]])
+    is_placed = np.isfinite(reference.points_m[pairs[:, 0], 0])
+    # Depth of one's own is the better one, and RANSAC's luck the rarer the more matches there are:
+    # what other views tell of the reference's points is needed where its depth does not reach.
+    is_enough = np.count_nonzero(has_depth) >= _ENOUGH_DEPTH * np.count_nonzero(is_placed)
+    pairs = pairs[has_depth if is_enough else is_placed]
     outcome, inlier_mask = _outcome(reference, query, pairs, camera, config)
     pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
     return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]])

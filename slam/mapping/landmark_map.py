@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from slam.config import PYRAMID_SCALE
 from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
+from slam.geometry.features import match_descriptors
 from slam.geometry.reprojection import Observations, project
+from slam.geometry.triangulation import triangulate
 from slam.mapping.landmarks import UNSEEN, Landmarks
 from slam.types import Camera, Features, FloatArray, IntArray
 
@@ -112,6 +114,34 @@ class LandmarkMap:
         self._observe(keyframe_id, np.column_stack([keyframe.created_ids, new]))
         return keyframe.created_ids
 
+    def triangulate(self, keyframe_id: int, other_id: int) -> IntArray:
+        """Make landmarks of features without depth that another keyframe shows; return the ids."""
+        keyframe, other = self.keyframes[keyframe_id], self.keyframes[other_id]
+        mine, others = self._unplaced(keyframe), self._unplaced(other)
+        pairs = match_descriptors(
+            keyframe.features.descriptors[mine],
+            other.features.descriptors[others],
+            self._max_distance,
+        )
+        mine, others = mine[pairs[:, 0]], others[pairs[:, 1]]
+        points_m, is_sound = triangulate(
+            se3.inverse(keyframe.T_map_cam) @ other.T_map_cam,
+            keyframe.measured.select(mine),
+            other.measured.select(others),
+            self.camera,
+        )
+        positions_m = se3.transform(keyframe.T_map_cam, points_m[is_sound])
+        ids = self.landmarks.add(positions_m, keyframe_id)
+        keyframe.created_ids = np.concatenate([keyframe.created_ids, ids])
+        self._observe(other_id, np.column_stack([ids, others[is_sound]]))
+        self._observe(keyframe_id, np.column_stack([ids, mine[is_sound]]))
+        return ids
+
+    def _unplaced(self, keyframe: MappedKeyframe) -> IntArray:
+        """Return the features that have neither depth nor a landmark."""
+        is_free = self.landmarks.resolve(keyframe.landmark_of) == UNSEEN
+        return np.flatnonzero(is_free & np.isnan(keyframe.features.depth_m))
+
     def fuse(self, keyframe_id: int, ids: IntArray, radius_px: float) -> None:
         """Look for landmarks in a keyframe that has not seen them; two at one place become one.
 
@@ -147,6 +177,16 @@ class LandmarkMap:
         of_a, of_b = (self.landmarks.resolve(self.keyframes[k].landmark_of) for k in (a, b))
         _, in_a, in_b = np.intersect1d(of_a, of_b, return_indices=True)
         return np.asarray(np.column_stack([in_a, in_b])[of_a[in_a] != UNSEEN])
+
+    def placed_features(self, keyframe_id: int) -> Features:
+        """Return a keyframe's features, those without depth at their landmarks if they show any."""
+        keyframe = self.keyframes[keyframe_id]
+        ids = self.landmarks.resolve(keyframe.landmark_of)
+        placed = np.flatnonzero((ids != UNSEEN) & np.isnan(keyframe.features.depth_m))
+        points_m = keyframe.features.points_m.copy()
+        positions_m = self.landmarks.positions_m[ids[placed]]
+        points_m[placed] = se3.transform(se3.inverse(keyframe.T_map_cam), positions_m)
+        return replace(keyframe.features, points_m=points_m)
 
     def median_depth_m(self, T_map_cam: FloatArray, ids: IntArray) -> float:
         """Return how far from a camera at (4, 4) T_map_cam landmarks are, along its axis."""

@@ -15,6 +15,7 @@ _WINDOW = 10  # keyframes that are adjusted together when a new one enters
 _OUTER = 10  # further ones that see the same landmarks and hold the window in place
 _ROUNDS = (3, 5)  # steps of the adjustment, before and after what does not fit is dropped
 _FUSE_RADIUS_PX = 3.0
+_TRIANGULATED_WITH = 3  # keyframes that are asked what they saw of features without depth
 _TRIAL_KEYFRAMES = 3  # a feature that no other of so many keyframes shows was no landmark
 
 
@@ -52,6 +53,8 @@ class LocalMap:
         covisible = self.whole.covisible_keyframes(pairs[:, 0])
         neighbours = [k for k in covisible if k != newest][: _WINDOW - 1]
         made = self.whole.add_landmarks(newest)
+        for neighbour in neighbours[:_TRIANGULATED_WITH]:
+            made = np.concatenate([made, self.whole.triangulate(newest, neighbour)])
         for neighbour in neighbours:
             self.whole.fuse(neighbour, made, _FUSE_RADIUS_PX)
         self._window = sorted([*neighbours, newest])

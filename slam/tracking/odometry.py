@@ -260,9 +260,10 @@ class RgbdOdometry:
 
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
         """Make a keyframe of the view, which stays where it was placed until the next frame."""
-        features, model, T_map_cam = view.features, self._models[-1], frame_pose.T_map_cam
-        new_id = self._local_map.insert(features, view.grid, T_map_cam, frame_pose.pairs)
+        model, T_map_cam = self._models[-1], frame_pose.T_map_cam
+        new_id = self._local_map.insert(view.features, view.grid, T_map_cam, frame_pose.pairs)
         model.most_shared, self._near = 0, model
+        features = self.map.placed_features(new_id)
         keyframe = new_keyframe(
             new_id, view.frame, features, T_map_cam, turning_rad_s, model.segment
         )

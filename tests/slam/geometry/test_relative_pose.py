@@ -57,6 +57,16 @@ def test_the_direction_is_p_ref_from_p_query(make_views):
     np.testing.assert_allclose(found.T_ref_query @ [0, 0, 0, 1], [0, 0, 0.25, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize(("known", "used"), [(0, 150), (74, 150), (76, 76)])
+def test_points_that_others_measured_take_the_place_of_depth(make_views, known, used):
+    views = make_views(T_REF_QUERY)
+    depth_m = np.where(np.arange(150) < known, views.reference.depth_m, np.nan)
+    found = estimate(views._replace(reference=replace(views.reference, depth_m=depth_m)))
+    assert len(found.pixels) == used
+    error_m, error_deg = error_m_deg(found.outcome, views)
+    assert error_m < 1e-5 and error_deg < 1e-3
+
+
 @pytest.mark.parametrize("outliers", [0, 50, 250])
 def test_noise_and_outliers_are_borne(make_views, outliers):
     views = make_views(T_REF_QUERY, 150, outliers=outliers, noise=0.7)
@@ -131,8 +141,9 @@ def farther(features, times):
 
 
 def matches_without_depth(views, kept):
-    depth_m = np.where(np.arange(len(views.reference.depth_m)) < kept, 2.0, np.nan)
-    return views._replace(reference=replace(views.reference, depth_m=depth_m))
+    known = np.where(np.arange(len(views.reference.depth_m)) < kept, 1.0, np.nan)
+    depth_m, points_m = known * views.reference.depth_m, known[:, None] * views.reference.points_m
+    return views._replace(reference=replace(views.reference, depth_m=depth_m, points_m=points_m))
 
 
 def test_few_matches(make_views):

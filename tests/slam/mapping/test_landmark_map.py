@@ -135,3 +135,71 @@ def test_a_copy_may_be_changed(one, scene):
     assert len(one.keyframes) == 1 and len(one.landmarks) == 120
     np.testing.assert_array_equal(one.seen_by([0]), np.arange(120))
     np.testing.assert_allclose(one.landmarks.positions_m[:120], scene.points_m, atol=1e-9)
+
+
+def without_depth(scene, blind):
+    """Return the scene with no camera having depth of the points in the mask."""
+    return scene._replace(
+        features=[
+            replace(
+                each,
+                depth_m=np.where(blind, np.nan, each.depth_m),
+                points_m=np.where(blind[:, None], np.nan, each.points_m),
+            )
+            for each in scene.features
+        ]
+    )
+
+
+@pytest.fixture
+def half_blind(scene):
+    return without_depth(scene, np.arange(120) < 60)
+
+
+def test_what_two_keyframes_see_without_depth_becomes_landmarks(half_blind):
+    the_map = LandmarkMap(half_blind.camera, 8, 64)
+    for k in (0, 2):
+        the_map.add_landmarks(add(the_map, half_blind, k))
+    assert len(the_map.seen_by([0])) == len(the_map.seen_by([1])) == 60
+    made = the_map.triangulate(1, 0)
+    assert len(made) == 60
+    shown = the_map.keyframes[1].landmark_of[:60]
+    np.testing.assert_array_equal(np.sort(shown), made)
+    np.testing.assert_array_equal(the_map.keyframes[0].landmark_of[:60], shown)
+    positions_m = the_map.landmarks.positions_m[shown]
+    np.testing.assert_allclose(positions_m, half_blind.points_m[:60], atol=1e-6)
+    assert (the_map.landmarks.sightings[made] == 2).all()
+    assert len(the_map.triangulate(1, 0)) == 0
+
+
+def test_a_triangulated_landmark_is_carried_with_the_keyframe_that_came_last(half_blind):
+    the_map = LandmarkMap(half_blind.camera, 8, 64)
+    for k in (0, 2):
+        the_map.add_landmarks(add(the_map, half_blind, k))
+    made = the_map.triangulate(1, 0)
+    before_m = the_map.landmarks.positions_m[made].copy()
+    aside = se3.from_rotation_translation(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    the_map.move_keyframes([1], [aside @ the_map.keyframes[1].T_map_cam])
+    np.testing.assert_allclose(
+        the_map.landmarks.positions_m[made] - before_m, [[0.5, 0.0, 0.0]] * 60
+    )
+
+
+def test_features_with_depth_or_a_landmark_are_not_triangulated(one, scene):
+    second = add(one, scene, 2)
+    assert len(one.triangulate(second, 0)) == 0
+
+
+def test_a_keyframes_features_without_depth_lie_where_their_landmarks_do(half_blind):
+    the_map = LandmarkMap(half_blind.camera, 8, 64)
+    for k in (0, 2):
+        the_map.add_landmarks(add(the_map, half_blind, k))
+    measured = half_blind.features[2]
+    np.testing.assert_array_equal(the_map.placed_features(1).points_m, measured.points_m)
+    the_map.triangulate(1, 0)
+    placed = the_map.placed_features(1)
+    T_cam_world = se3.inverse(half_blind.T_world_cam[2])
+    expected_m = se3.transform(T_cam_world, half_blind.points_m)
+    np.testing.assert_allclose(placed.points_m, expected_m, atol=1e-6)
+    np.testing.assert_array_equal(placed.depth_m, measured.depth_m)
+    assert np.isnan(measured.points_m[:60]).all()

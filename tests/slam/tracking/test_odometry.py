@@ -38,6 +38,10 @@ def larger(frame, factor):
     return replace(frame, depth_m=np.float32(factor) * frame.depth_m)
 
 
+def blind_beyond(frame, limit_m):
+    return replace(frame, depth_m=np.where(frame.depth_m < limit_m, frame.depth_m, np.float32(0.0)))
+
+
 @pytest.fixture(scope="module")
 def tracked(frames):
     return run(frames)
@@ -232,6 +236,16 @@ def test_a_larger_world_is_tracked_where_nobody_says_how_noisy_its_depth_is(fram
     T_odom_cam[:, :3, 3] /= 4.0
     error_m, error_deg = errors(T_odom_cam, T_first_cam)
     assert error_m.max() < 0.08 and error_deg.max() < 2.0
+
+
+def test_what_is_beyond_the_range_of_depth_is_tracked_too(frames, T_first_cam):
+    seen = [blind_beyond(frame, 1.8) for frame in frames]
+    assert np.median([(frame.depth_m > 0.0).mean() for frame in seen]) < 0.45
+    found = run(seen)
+    assert all(isinstance(each, TrackedFrame) for each in found)
+    assert {each.new_keyframe.segment for each in found if each.new_keyframe} == {0}
+    error_m, error_deg = errors(poses(found), T_first_cam)
+    assert error_m.max() < 0.15 and error_deg.max() < 4.0
 
 
 def test_no_more_links_than_asked_for(frames):
