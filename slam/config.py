@@ -135,10 +135,10 @@ class MapConfig(_Section):
 
     write: bool = True
     """Write map.ply."""
-    voxel_m: Annotated[float, Field(ge=1e-4, allow_inf_nan=False)] = 0.01
-    """Edge of the grid cells that points are merged in."""
-    max_depth_m: PositiveFloat = 4.0
-    """Depth beyond this is left out of the cloud."""
+    voxel_m: Annotated[float, Field(ge=1e-4, allow_inf_nan=False)] | None = None
+    """Edge of the grid cells that points are merged in; default: 1/150 of the median depth."""
+    max_depth_m: PositiveFloat | None = None
+    """Depth beyond this is left out of the cloud; default: 2.5 times the median depth."""
 
 
 class Config(_Section):

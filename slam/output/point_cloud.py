@@ -12,7 +12,9 @@ from slam.geometry.features import back_project, undistort
 from slam.result import SlamResult
 from slam.types import PREVIEW_SCALE
 
-_STRIDE = 2  # every other preview pixel is dense enough at voxels of a centimetre
+_STRIDE = 2  # every other preview pixel is dense enough for the usual voxels
+# A room seen from 1.5 m away is merged by the centimetre, and nothing further than 4 m is in it.
+_VOXEL, _MAX_DEPTH = 1.0 / 150.0, 2.5  # of the median depth
 
 
 def fuse(result: SlamResult, config: MapConfig) -> o3d.geometry.PointCloud:
@@ -20,19 +22,28 @@ def fuse(result: SlamResult, config: MapConfig) -> o3d.geometry.PointCloud:
     height, width = result.keyframes[0].preview.depth_m.shape
     v, u = np.mgrid[0:height:_STRIDE, 0:width:_STRIDE].reshape(2, -1) / PREVIEW_SCALE
     pixels = undistort(np.column_stack([u, v]).astype(np.float64), result.camera)
+    usual_m = _median_depth_m(result)
+    voxel_m = _VOXEL * usual_m if config.voxel_m is None else config.voxel_m
+    max_depth_m = _MAX_DEPTH * usual_m if config.max_depth_m is None else config.max_depth_m
     fused = o3d.geometry.PointCloud()
     for keyframe, T_world_cam in zip(result.keyframes, result.T_world_kf, strict=True):
         if np.isnan(T_world_cam).any():  # in a part of the map that was not joined
             continue
         depth_m = keyframe.preview.depth_m[::_STRIDE, ::_STRIDE].ravel().astype(np.float64)
         rgb = keyframe.preview.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)
-        seen = (depth_m > 0.0) & (depth_m <= config.max_depth_m)
+        seen = (depth_m > 0.0) & (depth_m <= max_depth_m)
         points_m = back_project(pixels[seen], depth_m[seen], result.camera)
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
         cloud.colors = o3d.utility.Vector3dVector(rgb[seen] / 255.0)
         # Thinned one by one first: the cloud in memory stays as small as the map.
-        fused += cloud.voxel_down_sample(config.voxel_m).transform(T_world_cam)
-    return fused.voxel_down_sample(config.voxel_m)
+        fused += cloud.voxel_down_sample(voxel_m).transform(T_world_cam)
+    return fused.voxel_down_sample(voxel_m)
+
+
+def _median_depth_m(result: SlamResult) -> float:
+    seen = np.concatenate([each.preview.depth_m[::8, ::8].ravel() for each in result.keyframes])
+    seen = seen[seen > 0.0]
+    return float(np.median(seen)) if len(seen) else 1.0
 
 
 def write_map(path: Path, result: SlamResult, config: MapConfig) -> None:

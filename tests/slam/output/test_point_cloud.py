@@ -114,14 +114,31 @@ def test_points_are_no_denser_than_the_voxels():
     assert counts[0] > 4 * counts[1] > 16 * counts[2] > 0
 
 
-def test_unknown_and_far_depth_is_left_out():
+def two_walls(size=1.0, far=5.1):
     depth_m = np.full((120, 160), 2.0)
-    depth_m[:, 80:] = 4.5
+    depth_m[:, 84:] = far
     depth_m[:60] = 0.0
-    rgb = coloured((120, 160), (9, 9, 9))
-    points_m = points_of(fuse(result_of([keyframe_of(0, rgb, depth_m)]), COARSE))
-    assert (points_m[:, 0] < 0.05).all() and (points_m[:, 1] > -0.05).all()
+    return result_of([keyframe_of(0, coloured((120, 160), (9, 9, 9)), size * depth_m)])
+
+
+def test_unknown_and_far_depth_is_left_out():
+    points_m = points_of(fuse(two_walls(), COARSE))
+    assert (points_m[:, 0] < 0.1).all() and (points_m[:, 1] > -0.05).all()
     np.testing.assert_allclose(points_m[:, 2], 2.0)
+    assert points_of(fuse(two_walls(far=4.9), COARSE))[:, 2].max() == pytest.approx(4.9)
+    named = MapConfig(voxel_m=0.05, max_depth_m=6.0)
+    assert points_of(fuse(two_walls(), named))[:, 2].max() == pytest.approx(5.1)
+
+
+@pytest.mark.parametrize("size", [0.125, 8.0])
+def test_what_is_far_and_how_fine_the_map_is_depend_on_what_is_seen(size):
+    usual, other = (points_of(fuse(two_walls(each), MapConfig())) for each in (1.0, size))
+    assert len(usual) == len(other) > 100
+    np.testing.assert_allclose(other[:, 2], 2.0 * size)
+    # A wall at 1.5 m: its pixels are denser than the voxels, which are a centimetre wide.
+    close = points_of(fuse(result_of([wall(depth_m=1.5)]), MapConfig()))
+    named = points_of(fuse(result_of([wall(depth_m=1.5)]), MapConfig(voxel_m=0.01)))
+    assert len(close) == len(named)
 
 
 def test_the_file_is_a_ply_that_open3d_reads(tmp_path):
