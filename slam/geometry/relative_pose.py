@@ -20,7 +20,7 @@ from slam.types import (
 )
 
 _MIN_FOR_POSE = 6
-_ENOUGH_DEPTH = 0.5
+_ENOUGH_DEPTH = 0.5  # share of the matches
 
 
 def estimate_relative_pose(

@@ -65,7 +65,6 @@ class RgbdOdometry:
         self._keyframes: list[Keyframe] = []
         self._moved: set[int] = set()  # keyframes that were adjusted since the last new one
         self._segments = 0
-        self._keyframes: list[Keyframe] = []
         self._models: list[MotionModel] = []  # the last is the one that is followed
         self._near: MotionModel | None = None  # around which the local map has gathered landmarks
 
