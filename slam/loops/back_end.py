@@ -110,15 +110,16 @@ class BackEnd:
         # A copy: cameras reuse their memory.
         self._queue.append(self._thread.submit(self._take, keyframe, links, moved, rgb.copy()))
 
-    def recognize(self, rgb: NDArray[np.uint8]) -> list[int]:
+    def recognize(self, rgb: NDArray[np.uint8], but_segment: int | None = None) -> list[int]:
         """Return the keyframes, of all that were queued, that look like an image, best first.
 
-        There are none once the recognizer failed on one, of which `settle` tells.
+        Those of but_segment are left out. There are none once the recognizer failed on one, of
+        which `settle` tells.
 
         Raises:
             RecognizerError: the recognizer failed on the (H, W, 3) RGB image.
         """
-        return self._thread.submit(self._recognize, rgb).result()
+        return self._thread.submit(self._recognize, rgb, but_segment).result()
 
     def settle(self) -> tuple[LoopAttempt, ...]:
         """Wait for all queued keyframes and return the loop candidates of the last one.
@@ -180,13 +181,13 @@ class BackEnd:
             self._queue.clear()  # they end the same way, which nobody has to hear twice
             raise
 
-    def _recognize(self, rgb: NDArray[np.uint8]) -> list[int]:
+    def _recognize(self, rgb: NDArray[np.uint8], but_segment: int | None) -> list[int]:
         if self._failure:
             return []
         with self._clock.stage("describe"):
             embedding = self.loop_closer.describe(rgb)
         with self._clock.stage("close loops"):
-            return self.loop_closer.most_similar(embedding)
+            return self.loop_closer.most_similar(embedding, but_segment)
 
     def _take(
         self,

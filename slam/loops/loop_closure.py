@@ -75,13 +75,18 @@ class LoopCloser:
         self._index.add(embedding)
         return attempts
 
-    def most_similar(self, embedding: NDArray[np.float32]) -> list[int]:
+    def most_similar(
+        self, embedding: NDArray[np.float32], but_segment: int | None = None
+    ) -> list[int]:
         """Return the keyframes, however new, that are similar enough to be verified, best first.
+
+        Those of but_segment are left out.
 
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        ids, similarities = self._index.query(embedding, self._loop_config.candidates)
+        is_other = np.array([each.segment != but_segment for each in self._keyframes], bool)
+        ids, similarities = self._most_similar(embedding, is_other)
         return [int(k) for k in ids[similarities >= self.min_similarity]]
 
     def similarities(self) -> NDArray[np.float32]:

@@ -23,7 +23,8 @@ class MotionModel:
     Attributes:
         segment: whose it is.
         recent: the last keyframes.
-        is_followed: whether any frame was placed after the first one.
+        frames: how many were placed after the first one.
+        was_lost: whether the segment began because the camera was lost.
         has_missed: whether the camera was looked for since its last frame, and not found.
         most_shared: landmarks that a frame had in common with the last keyframe.
         last_s: time of the last frame.
@@ -33,7 +34,8 @@ class MotionModel:
 
     segment: int
     recent: list[Keyframe] = field(default_factory=list)
-    is_followed: bool = False
+    frames: int = 0
+    was_lost: bool = False
     has_missed: bool = False
     most_shared: int = 0
     last_s: float = 0.0
@@ -42,12 +44,17 @@ class MotionModel:
     _step: FloatArray = field(default_factory=lambda: np.zeros(6))
     _step_s: float = 1.0
 
+    @property
+    def is_followed(self) -> bool:
+        """Whether any frame was placed after the first one."""
+        return self.frames > 0
+
     def follow(self, timestamp_s: float, T_odom_cam: FloatArray) -> float:
         """Take the (4, 4) place of the next frame and return how fast the camera turned, rad/s."""
         self._step = se3.log(se3.inverse(self.T_odom_last) @ T_odom_cam)
         self._step_s = timestamp_s - self.last_s
         self.last_s, self.T_odom_last = timestamp_s, T_odom_cam
-        self.is_followed, self.has_missed = True, False
+        self.frames, self.has_missed = self.frames + 1, False
         return float(np.linalg.norm(self._step[:3])) / self._step_s
 
     def predict(self, timestamp_s: float) -> FloatArray:

@@ -36,6 +36,10 @@ _PREDICTED_RADII_PX = (15.0, 40.0)  # where the last motion should have gone on;
 # So many of the features wanted have to have depth. Frames of fr1_desk show 67 % and more, blurred
 # by 31 pixels 21 %; blurred by 121 pixels it is less than 10 %, and nothing could be matched to it.
 _WORTH_A_SEGMENT = 0.1
+# A segment that a lost camera began may have begun with a hand still half before the lens: so many
+# frames later it is asked again whether another segment shows the same. A jump leaves those frames
+# behind, and few are left behind lightly.
+_ASKED_AGAIN = (1, 2, 4, 8)
 _MOST_MODELS = 2  # a lost camera is looked for where the last two left it
 
 
@@ -46,9 +50,12 @@ class RgbdOdometry:
         self,
         camera: Camera,
         config: Config,
-        recognize: Callable[[NDArray[np.uint8]], Sequence[int]] = lambda _: (),
+        recognize: Callable[[NDArray[np.uint8], int | None], Sequence[int]] = lambda *_: (),
     ) -> None:
-        """Make an odometry that asks which keyframes look like a (H, W, 3) RGB image, if lost."""
+        """Make an odometry that asks, if lost, which keyframes look like a (H, W, 3) RGB image.
+
+        Those of the segment that is named are not wanted.
+        """
         self._camera = camera
         self._recognize = recognize
         self._config = config.odometry
@@ -99,8 +106,11 @@ class RgbdOdometry:
         if not isinstance(frame_pose, FramePose):
             frame_pose = self._relocalize(view)
         is_worth_more = view.with_depth >= self._worth_a_segment
-        if not isinstance(frame_pose, FramePose) and is_worth_more:
-            frame_pose = self._recognized(view) or frame_pose
+        if not isinstance(frame_pose, FramePose):
+            if is_worth_more:
+                frame_pose = self._recognized(view) or frame_pose
+        else:
+            frame_pose = self._recognized_elsewhere(view) or frame_pose
         if isinstance(frame_pose, FramePose):
             return self._go_on(*self._straightened_again(view, seen, frame_pose))
         for model in self._models:
@@ -135,7 +145,9 @@ class RgbdOdometry:
         """Begin a segment whose origin is the view."""
         if view.with_depth < (needed := self._tracking_config.min_matches):
             return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
-        self._go_over_to(MotionModel(self._segments, last_s=view.frame.timestamp_s))
+        was_lost = bool(self._models)
+        last_s = view.frame.timestamp_s
+        self._go_over_to(MotionModel(self._segments, was_lost=was_lost, last_s=last_s))
         self._segments += 1
         here = FramePose(np.eye(4), empty_pairs(), np.zeros((6, 6)))
         keyframe = self._insert(view, here, turning_rad_s=0.0)
@@ -178,15 +190,25 @@ class RgbdOdometry:
             is_jump = is_jump or model.is_followed  # what was before it is across the map
         return frame_pose
 
-    def _recognized(self, view: View) -> FramePose | None:
+    def _recognized(self, view: View, but_segment: int | None = None) -> FramePose | None:
         """Compare the view with the keyframes that look like it, of whatever time and segment."""
-        for k in self._recognize(view.frame.rgb):
+        for k in self._recognize(view.frame.rgb, but_segment):
             keyframe = self._keyframes[k]
             frame_pose = self._relocalize_against([keyframe], view, self._jump_config)
             if isinstance(frame_pose, FramePose):
                 self._go_over_to(self._model_at(keyframe))
                 return frame_pose
         return None
+
+    def _recognized_elsewhere(self, view: View) -> FramePose | None:
+        """Ask, in the first frames of a segment that a lost camera began, where else that is."""
+        young = self._models[-1]
+        if not young.was_lost or young.frames + 1 not in _ASKED_AGAIN:
+            return None
+        frame_pose = self._recognized(view, young.segment)
+        if frame_pose:
+            self._models.remove(young)  # nothing to come back to
+        return frame_pose
 
     def _model_at(self, keyframe: Keyframe) -> MotionModel:
         """Return the model of a camera that has last been where a keyframe was taken."""

@@ -364,3 +364,10 @@ def test_an_image_without_a_keyframe_is_compared_with_all_of_them_however_new(vi
     assert loop_closer.most_similar(direction(180)) == []
     assert closer().most_similar(direction(0)) == []
     assert len(loop_closer.similarities()) == 5  # it is not remembered
+
+
+def test_those_of_one_segment_may_be_left_out(views):
+    loop_closer = closer(camera=views.camera, candidates=2, min_similarity=0.9)
+    close_all(loop_closer, views, [0, 1, 0, 1, 1])
+    assert loop_closer.most_similar(direction(4), but_segment=1) == [2, 0]
+    assert loop_closer.most_similar(direction(4), but_segment=0) == [4, 3]

@@ -417,7 +417,7 @@ def uncovered(frames):
 
     The frames are stamped anew, and images of the way back are others than those of the way there.
     """
-    out, back = frames[:26], frames[49:57]
+    out, back = frames[:26], frames[49:58]
     return [*out, *dark(out[-1].timestamp_s), *after(out[-1].timestamp_s + 3.0, back)]
 
 
@@ -430,15 +430,15 @@ def dark(last_s):
 
 
 class Memory:
-    """Recognizes what it is told to, and remembers for how many frames it was asked."""
+    """Recognizes what it is told to, from some time on, and notes which segment was not wanted."""
 
-    def __init__(self, *keyframe_ids):
-        self.keyframe_ids, self.asked = keyframe_ids, 0
+    def __init__(self, *keyframe_ids, from_time=1):
+        self.keyframe_ids, self.from_time, self.asked = keyframe_ids, from_time, []
 
-    def __call__(self, rgb):
+    def __call__(self, rgb, but_segment):
         assert rgb.shape == (240, 320, 3)
-        self.asked += 1
-        return self.keyframe_ids
+        self.asked.append(but_segment)
+        return self.keyframe_ids if len(self.asked) >= self.from_time else ()
 
 
 def run_with(memory, frames):
@@ -449,22 +449,37 @@ def run_with(memory, frames):
 def test_a_lost_camera_is_placed_wherever_it_is_recognized(uncovered, T_first_cam):
     memory = Memory(6, 2)  # the first looks like it, but is another place
     found = run_with(memory, uncovered)
-    assert memory.asked == 1  # frames that follow or show nothing are not looked up
+    assert memory.asked == [None]  # frames that follow or show nothing are not looked up
     assert all(isinstance(each, Rejection) for each in found[26:47])
-    assert segment_of_each([*found[:26], *found[47:]]) == [0] * 34
+    assert segment_of_each([*found[:26], *found[47:]]) == [0] * 35
     placed = found[47]
     assert placed.keyframe_id == 2 and placed.new_keyframe is not None
     assert placed.links[0].ref_id == 2 and len(placed.links) > 1
     assert max(link.ref_id for link in placed.links) < 6
-    error_m, error_deg = errors(poses([*found[:26], *found[47:]])[26:], T_first_cam[49:57])
+    error_m, error_deg = errors(poses([*found[:26], *found[47:]])[26:], T_first_cam[49:58])
     assert error_m.max() < 0.05 and error_deg.max() < 2.0
 
 
 def test_who_is_not_recognized_or_not_where_he_seems_to_be_begins_a_segment(uncovered):
     for memory in (Memory(), Memory(6)):
         found = run_with(memory, uncovered)
-        assert segment_of_each([*found[:26], *found[47:]]) == [0] * 26 + [1] * 8
-        assert found[47].links == () and memory.asked == 1
+        assert segment_of_each([*found[:26], *found[47:]]) == [0] * 26 + [1] * 9
+        assert found[47].links == ()
+        assert memory.asked == [None] + 4 * [1]  # again after 1, 2, 4 and 8 frames
+
+
+def test_who_is_recognized_a_little_later_goes_on_where_that_is(uncovered, T_first_cam):
+    memory = Memory(2, from_time=3)
+    found = run_with(memory, uncovered)
+    placed = [*found[:26], *found[47:]]
+    assert segment_of_each(placed) == [0] * 26 + [1, 1] + [0] * 7
+    assert memory.asked == [None, 1, 1]
+    covered_again = dark(uncovered[-1].timestamp_s)
+    back = after(uncovered[-1].timestamp_s + 3.0, uncovered[47:49])  # of the segment left behind
+    again = run_with(Memory(2, from_time=3), [*uncovered, *covered_again, *back])
+    assert segment_of_each([*placed, *again[-2:]])[-2:] == [0, 0]
+    error_m, error_deg = errors(poses(placed)[28:], T_first_cam[51:58])
+    assert error_m.max() < 0.05 and error_deg.max() < 2.0
 
 
 def test_a_camera_that_is_back_in_another_part_of_its_segment_looks_around_anew(
@@ -475,6 +490,6 @@ def test_a_camera_that_is_back_in_another_part_of_its_segment_looks_around_anew(
     found = run_with(Memory(2), [*uncovered, *dark(last_s), *away])
     assert found[-6].new_keyframe is not None and found[-6].keyframe_id == 6
     placed = [each for each in found if isinstance(each, TrackedFrame)]
-    assert segment_of_each(placed) == [0] * 40
+    assert segment_of_each(placed) == [0] * 41
     error_m, error_deg = errors(poses(placed)[-6:], T_first_cam[20:26])
     assert error_m.max() < 0.05 and error_deg.max() < 2.0
