@@ -205,10 +205,7 @@ class RgbdOdometry:
         young = self._models[-1]
         if not young.was_lost or young.frames + 1 not in _ASKED_AGAIN:
             return None
-        frame_pose = self._recognized(view, young.segment)
-        if frame_pose:
-            self._models.remove(young)  # nothing to come back to
-        return frame_pose
+        return self._recognized(view, young.segment)
 
     def _model_at(self, keyframe: Keyframe) -> MotionModel:
         """Return the model of a camera that has last been where a keyframe was taken."""

@@ -73,7 +73,7 @@ def test_two_pictures_on_one_wall_join():
     "later",
     [
         cameras([-0.3, 0.0, 0.3]),
-        cameras([-0.8, 0.8]),  # a part of the poster is out of view
+        cameras([-1.1, 1.1]),  # a part of the poster is out of view
         cameras([-0.2, 0.2], forward_m=0.8),
         [*cameras([0.1], turned_deg=15.0), *cameras([-0.1], turned_deg=-15.0)],
     ],
