@@ -27,6 +27,7 @@ class MotionModel:
         was_lost: whether the segment began because the camera was lost.
         has_missed: whether the camera was looked for since its last frame, and not found.
         most_shared: landmarks that a frame had in common with the last keyframe.
+        usual_inliers: landmarks that the last frame saw.
         last_s: time of the last frame.
         T_odom_last: (4, 4) where it was taken.
         last_ids: the landmarks it saw.
@@ -38,6 +39,7 @@ class MotionModel:
     was_lost: bool = False
     has_missed: bool = False
     most_shared: int = 0
+    usual_inliers: int = 0
     last_s: float = 0.0
     T_odom_last: FloatArray = field(default_factory=lambda: np.eye(4))
     last_ids: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))

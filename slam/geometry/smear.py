@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the motion of the camera has smeared an image."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_FINE_PX, _COARSE_PX = (160, 120), (40, 30)
+
+
+def sharpness(rgb: NDArray[np.uint8]) -> float:
+    """Return how much fine structure a (H, W, 3) image has, of what its coarse structure promises.
+
+    Both are the edges across which the fewest are: a smear takes away those across its direction,
+    and the fine ones first. What the image shows has little influence, a blank wall none.
+    """
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    fine = cv2.resize(grey, _FINE_PX, interpolation=cv2.INTER_AREA)
+    coarse = cv2.resize(fine, _COARSE_PX, interpolation=cv2.INTER_AREA)
+    return float(np.sqrt(_weakest_edges(fine) / max(_weakest_edges(coarse), 1e-9)))
+
+
+def _weakest_edges(grey: cv2.typing.MatLike) -> float:
+    """Return the mean squared slope in the direction in which that is least."""
+    slopes = [cv2.Sobel(grey, cv2.CV_32F, *order).ravel() for order in ((1, 0), (0, 1))]
+    return max(float(np.linalg.eigvalsh(np.cov(slopes))[0]), 0.0)
