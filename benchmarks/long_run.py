@@ -159,8 +159,7 @@ def measure(frames: int, recognizer: str) -> Run:
     result = slam.finish()
     finish_s = time.perf_counter() - start_s
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0 / MB
-    estimates, loops = (result.odometry, result.trajectory), (result.attempts, result.keyframes)
-    drift = compare_drift(*estimates, film.truth(frames), *loops, Config().evaluation)
+    drift = compare_drift(result, film.truth(frames), Config().evaluation)
     kept = [loop.is_false for loop in drift.loops if loop.is_false is not None]
     return Run(
         frame_s,
@@ -173,7 +172,7 @@ def measure(frames: int, recognizer: str) -> Run:
         untracked=len(result.untracked_s),
         loops=len(kept),
         false_loops=sum(kept),
-        ate_m=(drift.before.ate_rmse_m, drift.after.ate_rmse_m),
+        ate_m=(drift.odometry.ate_rmse_m, drift.corrected.ate_rmse_m),
     )
 
 

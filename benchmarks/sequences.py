@@ -38,10 +38,14 @@ RENDER = (
 
 ACCURACY = {
     "frames tracked": "{frames_tracked} of {frames}",
-    "ATE, m: odometry → corrected": "{ate_before_m} → {ate_after_m}",
-    "RPE, m": "{rpe_translation_before_m} → {rpe_translation_after_m}",
-    "RPE, degrees": "{rpe_rotation_before_deg} → {rpe_rotation_after_deg}",
+    "ATE, m: odometry, live": "{ate_odometry_m}",
+    "ATE, m: corrected, live": "{ate_live_m}",
+    "ATE, m: in the end, without loops": "{ate_without_loops_m}",
+    "ATE, m: in the end, with loops": "{ate_corrected_m}",
+    "RPE, m: odometry → with loops": "{rpe_translation_odometry_m} → {rpe_translation_corrected_m}",
+    "RPE, degrees": "{rpe_rotation_odometry_deg} → {rpe_rotation_corrected_deg}",
     "RPE interval, s": "{rpe_interval_s}",
+    "median NEES (5.35 is right): links, loops": "{nees_links_median}, {nees_loops_median}",
     "loops tried": "{loops_tried}",
     "loops accepted": "{loops_accepted}",
     "loops outvoted by the graph": "{loops_outvoted}",

@@ -8,6 +8,7 @@ added drift stands in for an odometry. T_a_b takes coordinates in b to coordinat
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,9 +119,9 @@ def main(name: str, odometry_file: str | None = None) -> None:
     print(f"{len(result.keyframes)} keyframes, {closed} of {len(result.attempts)} loops closed")
     print(*result.warnings, sep="\n", end="\n" if result.warnings else "")
     if truth:
-        after, loops = corrected(odometry, result), (result.attempts, result.keyframes)
-        drift = compare_drift(odometry, after, truth, *loops, CONFIG.evaluation)
-        print(f"ATE {drift.before.ate_rmse_m:.4f} m -> {drift.after.ate_rmse_m:.4f} m")
+        every_pose = replace(result, odometry=odometry, trajectory=corrected(odometry, result))
+        drift = compare_drift(every_pose, truth, CONFIG.evaluation)
+        print(f"ATE {drift.odometry.ate_rmse_m:.4f} m -> {drift.corrected.ate_rmse_m:.4f} m")
 
 
 if __name__ == "__main__":

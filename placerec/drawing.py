@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 INK, SOFT, GRID = "#20242a", "#7a808a", "#d0d4da"
 RIGHT, WRONG = "#0a64b4", "#c01878"
 BEFORE, AFTER, TRUTH, LOST = "#c4600a", RIGHT, SOFT, "#8a6a40"
-COLOURS = (RIGHT, BEFORE, "#1a8a5a", WRONG, "#7a5fc0", LOST, "#2aa0b8", INK)
+WITHOUT = "#1a8a5a"  # what would be without loops
+COLOURS = (RIGHT, BEFORE, WITHOUT, WRONG, "#7a5fc0", LOST, "#2aa0b8", INK)
 _DASHES = ("-", "--", ":", "-.")
 WIDTH_IN = 5.0
 """Narrow, so that the writing stays legible where a page shrinks it to a phone's width."""
@@ -54,6 +55,7 @@ _CSS = {
     AFTER: "var(--after)",
     TRUTH: "var(--truth)",
     WRONG: "var(--wrong)",
+    WITHOUT: "var(--without)",
     LOST: "var(--lost)",
 }
 

@@ -203,15 +203,7 @@ def _judge(
     if truth is None:
         return None, ("there is no ground truth, so no ATE can be given",)
     try:
-        drift = compare_drift(
-            result.odometry,
-            result.trajectory,
-            truth,
-            result.attempts,
-            result.keyframes,
-            arguments.settings.evaluation,
-            result.session_starts_s,
-        )
+        drift = compare_drift(result, truth, arguments.settings.evaluation)
     except SlamError as error:
         return None, (f"no ATE can be given: {error}",)
     return drift, ()

@@ -56,8 +56,8 @@ class SlamResult:
         live: the same, each corrected by the loops that were closed until then; without the frames
             of a segment of which was not known yet where it lies.
         without_loops: the same in the end, with all that is done to the map but loop closure.
-        trajectory: the same in the end, corrected; `T_world_kf` at the keyframes' times. These last
-            two are smoothed if `motion.smooth` asks for it and the camera was tracked here.
+        trajectory: the same in the end, corrected; `T_world_kf` at the keyframes' times. Smoothed if
+            `motion.smooth` asks for it and the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
@@ -70,6 +70,8 @@ class SlamResult:
         unjoined_s: those of the untracked frames that are in a part that was not joined.
         session_starts_s: timestamp of the first frame of each session after the first.
         elapsed_s: wall time of the whole run, waiting for frames included.
+        unsmoothed: `trajectory` before it was smoothed, None where it was not. The other
+            trajectories and `T_world_kf` never are.
     """
 
     camera: Camera
@@ -90,3 +92,15 @@ class SlamResult:
     unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     elapsed_s: float = 0.0
+    unsmoothed: Trajectory | None = None
+
+    @property
+    def corrected(self) -> Trajectory:
+        """The corrected trajectory, never smoothed."""
+        return self.trajectory if self.unsmoothed is None else self.unsmoothed
+
+    @property
+    def moved_by_loops_m(self) -> FloatArray:
+        """(N,) how far loops moved each frame of the corrected trajectory."""
+        shift = self.corrected.T_world_cam - self.without_loops.T_world_cam
+        return np.asarray(np.linalg.norm(shift[:, :3, 3], axis=1))

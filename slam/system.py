@@ -10,6 +10,7 @@ import numpy as np
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
+from slam.evaluation.steps import impossible_steps
 from slam.loops.atlas import Correction, odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.mapping.landmark_map import LandmarkMap
@@ -188,6 +189,7 @@ class Slam:
             known = bisect_right(corrections, newest_id, key=lambda each: each.newest_id)
             return corrections[known - 1].T_world_odom.get(segment)
 
+        trajectory = self._frames.trajectory(T_world_kf)
         loop_closer = self._back_end.loop_closer
         calibration = loop_closer.calibration()
         return SlamResult(
@@ -199,8 +201,8 @@ class Slam:
             T_world_kf=T_world_kf,
             odometry=self._frames.live(T_world_kf, lambda segment, _: T_odom_segment[segment]),
             live=self._frames.live(T_world_kf, T_world_odom),
-            without_loops=self._trajectory(T_world_kf_without),
-            trajectory=self._trajectory(T_world_kf),
+            without_loops=self._frames.trajectory(T_world_kf_without),
+            trajectory=self._smoothed(trajectory) if self._is_smoothed else trajectory,
             links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
@@ -212,18 +214,23 @@ class Slam:
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
+                *impossible_steps(trajectory, self._session_starts_s),
                 *(calibration.warnings if calibration else ()),
             ),
             calibration=calibration,
             unjoined_s=self._frames.unjoined_s(T_world_kf),
             session_starts_s=np.array(self._session_starts_s),
             elapsed_s=self.clock.elapsed_s,
+            unsmoothed=trajectory if self._is_smoothed else None,
         )
 
-    def _trajectory(self, T_any_kf: FloatArray) -> Trajectory:
-        trajectory = self._frames.trajectory(T_any_kf)
+    @property
+    def _is_smoothed(self) -> bool:
         # An odometry from elsewhere knows best how its camera moves.
-        if not self._config.motion.smooth or self._front_end is self._given_poses:
+        return self._config.motion.smooth and self._front_end is self._odometry
+
+    def _smoothed(self, trajectory: Trajectory) -> Trajectory:
+        if not self._is_smoothed:
             return trajectory
         return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
 

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far an estimate is from the truth: ATE, RPE, and which loops were right."""
+"""How far a run is from the truth: ATE and RPE of its trajectories, NEES of its motions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from placerec.datasets.tum_lists import nearest
 from slam.config import EvaluationConfig
+from slam.evaluation.motion_truth import LoopTruth, judge_links, judge_loops
 from slam.evaluation.trajectory import align, associate, path_length_m
 from slam.geometry import se3
-from slam.types import FloatArray, Keyframe, LoopAttempt, SlamError, Trajectory
+from slam.result import SlamResult
+from slam.types import FloatArray, SlamError, Trajectory
 
 _MAX_TRUTH_GAP_S = 0.5  # ground truth without a pose for longer than this counts as interrupted
 _MIN_MATCHED_POSES = 3  # fewer positions do not fix an alignment in space
@@ -40,44 +42,43 @@ class TrajectoryError:
 
 
 @dataclass(frozen=True)
-class LoopTruth:
-    """What ground truth says of one loop attempt; NaN where it does not cover both keyframes.
-
-    Attributes:
-        translation_error_m, rotation_error_deg: of the measured motion, NaN where geometry found
-            none; loops that the pose graph outvoted have one.
-        true_distance_m, true_angle_deg: between the two cameras in truth.
-        is_false: an accepted loop whose motion is off by more than the limits; None where truth
-            is unknown or the loop was not accepted in the end.
-    """
-
-    translation_error_m: float = np.nan
-    rotation_error_deg: float = np.nan
-    true_distance_m: float = np.nan
-    true_angle_deg: float = np.nan
-    is_false: bool | None = None
-
-
-@dataclass(frozen=True)
 class DriftReport:
-    """Drift before and after loop closure, with all that is needed to trust the figures.
+    """Drift live and in the end, without loops and with, and all that is needed to trust it.
 
     Attributes:
-        before, after: errors of the odometry and of the corrected trajectory.
+        odometry, live, without_loops, corrected: errors of the result's four trajectories, none of
+            them smoothed; live is None where too few of its frames match.
+        smoothed: error of the corrected trajectory as smoothed, None where it was not.
         loops: one entry per loop attempt, in the same order.
+        links_nees: (L,) `nees` of the result's links, in the same order, NaN where unknown.
         tolerance_s: association tolerance between estimated and true poses.
         coverage: share of the sequence's time span that ground truth covers.
         rpe_interval_s: interval of the relative pose error.
         truth_length_m: length of the true path over the compared frames.
     """
 
-    before: TrajectoryError
-    after: TrajectoryError
+    odometry: TrajectoryError
+    live: TrajectoryError | None
+    without_loops: TrajectoryError
+    corrected: TrajectoryError
+    smoothed: TrajectoryError | None
     loops: tuple[LoopTruth, ...]
+    links_nees: FloatArray
     tolerance_s: float
     coverage: float
     rpe_interval_s: float
     truth_length_m: float
+
+    @property
+    def median_links_nees(self) -> float:
+        """Median of the links that truth covers, NaN without any."""
+        return _median(self.links_nees)
+
+    @property
+    def median_loops_nees(self) -> float:
+        """Median of the accepted loops that truth covers, NaN without any."""
+        accepted = [loop.nees for loop in self.loops if loop.is_false is not None]
+        return _median(np.array(accepted))
 
 
 def trajectory_error(
@@ -127,50 +128,39 @@ def trajectory_error(
     )
 
 
-def compare_drift(
-    odometry: Trajectory,
-    corrected: Trajectory,
-    truth: Trajectory,
-    attempts: Sequence[LoopAttempt],
-    keyframes: Sequence[Keyframe],
-    config: EvaluationConfig,
-    session_starts_s: Sequence[float] | FloatArray = (),
-) -> DriftReport:
-    """Measure the drift before and after loop closure, and judge every loop attempt.
+def compare_drift(result: SlamResult, truth: Trajectory, config: EvaluationConfig) -> DriftReport:
+    """Measure the drift of a run, and judge all motions that it measured between keyframes.
 
     Raises:
         SlamError: fewer than three poses match ground truth in time.
     """
-    before = trajectory_error(odometry, truth, config)
-    _, in_truth = associate(odometry, truth, config.max_time_difference_s)
+    _, in_truth = associate(result.odometry, truth, config.max_time_difference_s)
     compared = Trajectory(truth.timestamps_s[in_truth], truth.T_world_cam[in_truth])
+    starts_s = result.session_starts_s
+    is_smoothed = result.unsmoothed is not None
     return DriftReport(
-        before=before,
-        after=trajectory_error(corrected, truth, config),
-        loops=judge_loops(attempts, keyframes, truth, config),
+        odometry=trajectory_error(result.odometry, truth, config),
+        live=_error_of_some(result.live, truth, config),
+        without_loops=trajectory_error(result.without_loops, truth, config),
+        corrected=trajectory_error(result.corrected, truth, config),
+        smoothed=trajectory_error(result.trajectory, truth, config) if is_smoothed else None,
+        loops=judge_loops(result.attempts, result.keyframes, truth, config),
+        links_nees=judge_links(result.links, result.keyframes, truth, config),
         tolerance_s=config.max_time_difference_s,
-        coverage=coverage(odometry, truth, session_starts_s),
+        coverage=coverage(result.odometry, truth, starts_s),
         rpe_interval_s=config.rpe_interval_s,
-        truth_length_m=sum(path_length_m(each) for each in _sessions(compared, session_starts_s)),
+        truth_length_m=sum(path_length_m(each) for each in _sessions(compared, starts_s)),
     )
 
 
-def judge_loops(
-    attempts: Sequence[LoopAttempt],
-    keyframes: Sequence[Keyframe],
-    truth: Trajectory,
-    config: EvaluationConfig,
-) -> tuple[LoopTruth, ...]:
-    """Return what ground truth says of each loop attempt, in the same order."""
-    stamps_s = np.array([keyframe.timestamp_s for keyframe in keyframes])
-    in_truth = nearest(truth.timestamps_s, stamps_s)
-    is_known = np.abs(truth.timestamps_s[in_truth] - stamps_s) <= config.max_time_difference_s
-    T_truth_cam = {
-        keyframe.id: truth.T_world_cam[index]
-        for keyframe, index, known in zip(keyframes, in_truth, is_known, strict=True)
-        if known
-    }
-    return tuple(_judge(attempt, T_truth_cam, config) for attempt in attempts)
+def _error_of_some(
+    estimate: Trajectory, truth: Trajectory, config: EvaluationConfig
+) -> TrajectoryError | None:
+    """Return the error of a trajectory that may lack frames, None where too few are left."""
+    try:
+        return trajectory_error(estimate, truth, config)
+    except SlamError:
+        return None
 
 
 def coverage(
@@ -198,25 +188,10 @@ def _sessions(
     return [Trajectory(*part) for part in zip(*columns, strict=True) if len(part[0])]
 
 
-def _judge(
-    attempt: LoopAttempt, T_truth_cam: Mapping[int, FloatArray], config: EvaluationConfig
-) -> LoopTruth:
-    if not {attempt.match_id, attempt.query_id} <= T_truth_cam.keys():
-        return LoopTruth()
-    T_match_query = se3.inverse(T_truth_cam[attempt.match_id]) @ T_truth_cam[attempt.query_id]
-    distance_m, angle_deg = _size(T_match_query)
-    measured = attempt.motion
-    if measured is None:
-        return LoopTruth(true_distance_m=distance_m, true_angle_deg=angle_deg)
-    error_m, error_deg = _size(se3.inverse(T_match_query) @ measured.T_ref_query)
-    is_off = error_m > config.false_loop_translation_m or error_deg > config.false_loop_rotation_deg
-    is_false = is_off if attempt.rejection is None else None
-    return LoopTruth(error_m, error_deg, distance_m, angle_deg, is_false)
-
-
-def _size(T_a_b: FloatArray) -> tuple[float, float]:
-    return float(se3.translation_norm(T_a_b)), float(np.rad2deg(se3.rotation_angle(T_a_b)))
-
-
 def _root_mean_square(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")

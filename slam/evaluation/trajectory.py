@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories: TUM files, association in time, and alignment in space."""
+"""Trajectories: TUM files, poses and pairs in time, and alignment in space."""
 
 from pathlib import Path
 
@@ -84,6 +84,34 @@ def associate(a: Trajectory, b: Trajectory, tolerance_s: float) -> tuple[IntArra
     indices_b = np.concatenate([pair[1] for pair in pairs])
     order = np.argsort(indices_a)
     return indices_a[order], indices_b[order]
+
+
+def poses_at(trajectory: Trajectory, stamps_s: FloatArray, tolerance_s: float) -> FloatArray:
+    """Return the (N, 4, 4) poses at (N,) times, NaN where none is within the tolerance.
+
+    Between two poses that both are, the camera is taken to have moved steadily; else the nearest
+    one's is returned. A camera that turns by 100 degrees a second turns by half a degree in the
+    5 ms that the nearest pose of a tracker with 100 Hz may be away.
+    """
+    T_world_cam = np.full((len(stamps_s), 4, 4), np.nan)
+    if len(trajectory) == 0 or len(stamps_s) == 0:
+        return T_world_cam
+    known_s, poses = trajectory.timestamps_s, trajectory.T_world_cam
+    closest = nearest(known_s, stamps_s)
+    is_near = np.abs(known_s[closest] - stamps_s) <= tolerance_s
+    T_world_cam[is_near] = poses[closest[is_near]]
+    after = np.searchsorted(known_s, stamps_s)
+    within = np.flatnonzero((after > 0) & (after < len(known_s)))
+    gap_s = np.maximum(
+        known_s[after[within]] - stamps_s[within], stamps_s[within] - known_s[after[within] - 1]
+    )
+    within = within[gap_s <= tolerance_s]
+    second = after[within]
+    first = second - 1
+    share = (stamps_s[within] - known_s[first]) / (known_s[second] - known_s[first])
+    motion = se3.log(se3.inverse(poses[first]) @ poses[second])
+    T_world_cam[within] = poses[first] @ se3.exp(share[:, None] * motion)
+    return T_world_cam
 
 
 def align(estimate_m: FloatArray, truth_m: FloatArray) -> FloatArray:

@@ -4,7 +4,8 @@
 import math
 from dataclasses import dataclass
 
-from slam.evaluation.drift import DriftReport, LoopTruth
+from slam.evaluation.drift import DriftReport
+from slam.evaluation.motion_truth import LoopTruth
 from slam.result import SlamResult
 from slam.types import Keyframe, LoopAttempt, RejectionReason
 

@@ -45,6 +45,7 @@ class TruthRecord:
     true_distance_m: float | None
     true_angle_deg: float | None
     is_false: bool | None
+    nees: float | None
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -133,9 +134,9 @@ def _record(loop: Decision, min_similarity: float) -> LoopRecord:
     attempt, rejection = loop.attempt, loop.attempt.rejection
     truth = None
     if loop.truth is not None and not math.isnan(loop.truth.true_distance_m):
-        *errors, is_false = astuple(loop.truth)
+        *errors, is_false, nees = astuple(loop.truth)
         far_m, far_deg, apart_m, apart_deg = map(_number, errors)
-        truth = TruthRecord(far_m, far_deg, apart_m, apart_deg, is_false)
+        truth = TruthRecord(far_m, far_deg, apart_m, apart_deg, is_false, _number(nees))
     return LoopRecord(
         query_id=int(attempt.query_id),
         match_id=int(attempt.match_id),

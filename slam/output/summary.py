@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.evaluation.drift import DriftReport
+from slam.evaluation.drift import DriftReport, TrajectoryError
+from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.result import SlamResult
 from slam.types import RejectionReason
+
+_TRAJECTORIES = ("odometry", "live", "without_loops", "corrected", "smoothed")
 
 
 def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
@@ -19,13 +22,22 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - sessions, segments: recordings, and those stretches without interruption that have a place.
     - frames_tracked, frames_untracked, keyframes, links: counts.
     - frames_unjoined: those of the untracked that are in a part of the map that was not joined.
+    - warnings: what to know before trusting the result, one sentence each.
     - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits.
     - min_similarity: the one from which candidates were verified.
     - certificate: what the recognizer was calibrated on, its curve apart; None without one.
-    - ate_*_m, rpe_*_m, rpe_*_deg: root mean square errors before (odometry) and after (corrected).
+    - frames_live: those of the tracked of which was known when they came where they are.
+    - ate_*_m, rpe_translation_*_m, rpe_rotation_*_deg: root mean square errors of the frames, by
+      tracking alone (odometry), corrected when they came (live), in the end with the map adjusted
+      but no loop closed (without_loops), and with all (corrected). None of these are smoothed.
+      Where smoothing was asked for, trajectory.txt is: `smoothed`.
+    - rpe_interval_s: over which the relative pose error was taken.
+    - nees_links_median, nees_loops_median: squared errors of the motions between keyframes, and of
+      the accepted loops, in units of the standard deviations they claim. 5.35 is right; more means
+      that errors are larger than claimed.
     - alignment, scale: how the ATE was taken; the scale is never adjusted.
     - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind
       it; matched_share is that of the tracked frames.
@@ -45,6 +57,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "frames_tracked": len(result.trajectory),
         "frames_untracked": len(result.untracked_s),
         "frames_unjoined": len(result.unjoined_s),
+        "frames_live": len(result.live),
         "keyframes": len(result.keyframes),
         "links": len(result.links),
         "warnings": list(result.warnings),
@@ -70,24 +83,29 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
 
 
 def _errors(drift: DriftReport | None) -> dict[str, object]:
-    def known(value: float) -> float | None:
-        return value if math.isfinite(value) else None
+    def known(value: float | None) -> float | None:
+        return value if value is not None and math.isfinite(value) else None
 
-    before, after = (drift.before, drift.after) if drift else (None, None)
+    errors = {name: getattr(drift, name) if drift else None for name in _TRAJECTORIES}
     return {
-        "ate_before_m": known(before.ate_rmse_m) if before else None,
-        "ate_after_m": known(after.ate_rmse_m) if after else None,
-        "rpe_translation_before_m": known(before.rpe_translation_m) if before else None,
-        "rpe_rotation_before_deg": known(before.rpe_rotation_deg) if before else None,
-        "rpe_translation_after_m": known(after.rpe_translation_m) if after else None,
-        "rpe_rotation_after_deg": known(after.rpe_rotation_deg) if after else None,
+        **{f"ate_{name}_m": known(each and each.ate_rmse_m) for name, each in errors.items()},
+        **{
+            f"rpe_translation_{name}_m": known(each and each.rpe_translation_m)
+            for name, each in errors.items()
+        },
+        **{
+            f"rpe_rotation_{name}_deg": known(each and each.rpe_rotation_deg)
+            for name, each in errors.items()
+        },
         "rpe_interval_s": drift.rpe_interval_s if drift else None,
         "alignment": "SE(3)" if drift else None,
         "scale": 1.0 if drift else None,
         "association_tolerance_s": drift.tolerance_s if drift else None,
-        "matched_share": after.matched_share if after else None,
+        "matched_share": drift.corrected.matched_share if drift else None,
         "truth_coverage": drift.coverage if drift else None,
         "truth_length_m": drift.truth_length_m if drift else None,
+        "nees_links_median": known(drift.median_links_nees if drift else None),
+        "nees_loops_median": known(drift.median_loops_nees if drift else None),
     }
 
 
@@ -131,19 +149,42 @@ def _origin(result: SlamResult) -> str:
 
 
 def _drift_rows(drift: DriftReport) -> list[tuple[str, str]]:
-    before, after = drift.before, drift.after
-    if math.isnan(before.rpe_translation_m) or math.isnan(after.rpe_translation_m):
+    first, last, live = drift.odometry, drift.corrected, drift.live
+    if math.isnan(first.rpe_translation_m) or math.isnan(last.rpe_translation_m):
         rpe = f"unknown: no two compared frames are {drift.rpe_interval_s:g} s apart"
     else:
         rpe = (
-            f"{before.rpe_translation_m:.4f} m -> {after.rpe_translation_m:.4f} m,"
-            f" {before.rpe_rotation_deg:.2f} deg -> {after.rpe_rotation_deg:.2f} deg"
-            f" over {drift.rpe_interval_s:g} s"
+            f"{first.rpe_translation_m:.4f} m -> {last.rpe_translation_m:.4f} m,"
+            f" {first.rpe_rotation_deg:.2f} deg -> {last.rpe_rotation_deg:.2f} deg"
+            f" over {drift.rpe_interval_s:g} s, odometry -> with loops"
         )
+    smoothed = f"; smoothed {drift.smoothed.ate_rmse_m:.4f} m" if drift.smoothed else ""
     covered = f"truth within {drift.tolerance_s * 1e3:.0f} ms, it covers {drift.coverage:.1%}"
     return [
-        ("ATE", f"{before.ate_rmse_m:.4f} m -> {after.ate_rmse_m:.4f} m corrected"),
-        ("", f"RMSE over {after.matched_share:.1%} of the tracked frames ({covered})"),
+        ("ATE", f"odometry {first.ate_rmse_m:.4f} m; live, corrected {_live(live, first)}"),
+        (
+            "",
+            f"in the end without loops {drift.without_loops.ate_rmse_m:.4f} m,"
+            f" with loops {last.ate_rmse_m:.4f} m; not smoothed{smoothed}",
+        ),
+        ("", f"RMSE over {last.matched_share:.1%} of the tracked frames ({covered})"),
         ("", "after SE(3) alignment, scale not adjusted"),
         ("RPE", rpe),
+        (
+            "NEES",
+            f"links {_nees(drift.median_links_nees)}, loops {_nees(drift.median_loops_nees)}"
+            f" (medians; {RIGHT_MEDIAN_NEES} is right, more: errors are larger than claimed)",
+        ),
     ]
+
+
+def _live(live: TrajectoryError | None, odometry: TrajectoryError) -> str:
+    if live is None:
+        return "unknown: too few frames"
+    fewer = len(live.timestamps_s) < len(odometry.timestamps_s)
+    over = f" over {len(live.timestamps_s)} of {len(odometry.timestamps_s)} frames" if fewer else ""
+    return f"{live.ate_rmse_m:.4f} m{over}"
+
+
+def _nees(median: float) -> str:
+    return "unknown" if math.isnan(median) else f"{median:.1f}"

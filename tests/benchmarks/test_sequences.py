@@ -29,8 +29,10 @@ def run(benchmark):
         summary = dict.fromkeys(keys.split(), 10) | {
             f"{error}_{when}_{units[error]}": 0.123456
             for error in errors.split()
-            for when in ("before", "after")
+            for when in ("odometry", "live", "without_loops", "corrected")
         }
+        summary |= {"ate_live_m": 0.2, "ate_without_loops_m": 0.3, "ate_corrected_m": None}
+        summary |= {"nees_links_median": 5.0123456, "nees_loops_median": 5.4}
         summary |= {"loops_false": None, "loops_judged": None, "rpe_interval_s": 1.0}
         summary |= {"elapsed_s": 2.0}
         summary |= {"stage_seconds": {"track": 2.0}, "stage_ms_per_frame": {"track": 100.0}}
@@ -89,6 +91,16 @@ def test_speed_is_of_the_whole_process_and_costs_are_medians(benchmark, run):
     assert found["CPU seconds, whole process"] == ["10.0 (8.0-20.0)"]
     assert found["seconds for start-up, report, map"] == ["3.0 (2.0-8.0)"]
     assert found["ms per frame: track"] == ["100.0 (100.0-100.0)"]
+
+
+def test_errors_come_without_loops_and_with_them_and_live(benchmark, run):
+    found = rows(benchmark.table([benchmark.Measured("made-up", [run(4.0)])]))
+    assert found["ATE, m: odometry, live"] == ["0.1235"]
+    assert found["ATE, m: corrected, live"] == ["0.2"]
+    assert found["ATE, m: in the end, without loops"] == ["0.3"]
+    assert found["ATE, m: in the end, with loops"] == ["-"]
+    assert found["RPE, m: odometry → with loops"] == ["0.1235 → 0.1235"]
+    assert found["median NEES (5.35 is right): links, loops"] == ["5.012, 5.4"]
 
 
 def test_runs_that_differ_are_counted(benchmark, run):

@@ -121,7 +121,7 @@ def test_a_run_leaves_every_output_and_ends_with_a_table(good):
     assert good.frames.split(maxsplit=1)[1] == "60 of 60 tracked"
     assert str(good.folder / "report.html") in good.out
     summary = json.loads((good.folder / "summary.json").read_text())
-    assert summary["frames_tracked"] == 60 and summary["ate_after_m"] < 0.02
+    assert summary["frames_tracked"] == 60 and summary["ate_corrected_m"] < 0.02
 
 
 def test_progress_and_what_is_read_are_on_stderr(good, recording):
@@ -226,7 +226,7 @@ def test_two_recordings_make_one_map(run_slam, short_recording):
     assert len(read_tum(ran.folder / "groundtruth.txt")) == 120  # 60 of each
     summary = json.loads((ran.folder / "summary.json").read_text())
     assert (summary["sessions"], summary["segments"]) == (2, 2)
-    assert summary["ate_after_m"] < 0.02 and summary["truth_coverage"] > 0.9
+    assert summary["ate_corrected_m"] < 0.02 and summary["truth_coverage"] > 0.9
     assert f"run_slam {first} {second} --rec" in (ran.folder / "settings.toml").read_text()
     assert "<h1>first+second</h1>" in (ran.folder / "report.html").read_text()
     assert any("one frame of reference" in warning for warning in ran.warnings)
@@ -372,7 +372,7 @@ def test_without_truth_it_runs_and_says_that_there_is_no_ate(run_slam, short_rec
     assert "there is no ground truth, so no ATE can be given" in ran.warnings
     assert names(ran.folder) == [name for name in OUTPUTS if name != "groundtruth.txt"]
     assert "ATE   " not in ran.out
-    assert json.loads((ran.folder / "summary.json").read_text())["ate_after_m"] is None
+    assert json.loads((ran.folder / "summary.json").read_text())["ate_corrected_m"] is None
 
 
 def test_truth_of_another_time_is_as_good_as_none(run_slam, short_recording):

@@ -88,10 +88,8 @@ def test_every_tracked_frame_is_in_both_trajectories(result, frames):
 
 def test_the_corrected_path_is_near_the_truth(result, sequence):
     truth, config = sequence.ground_truth, EvaluationConfig()
-    drift = compare_drift(
-        result.odometry, result.trajectory, truth, result.attempts, result.keyframes, config
-    )
-    assert drift.before.ate_rmse_m < 0.03 and drift.after.ate_rmse_m < 0.02
+    drift = compare_drift(result, truth, config)
+    assert drift.odometry.ate_rmse_m < 0.03 and drift.corrected.ate_rmse_m < 0.02
     assert not any(loop.is_false for loop in drift.loops)
 
 

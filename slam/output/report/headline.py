@@ -17,20 +17,21 @@ def length(metres: float) -> str:
     """Return a length in the unit that people would say it in."""
     if not np.isfinite(metres):
         return "–"
-    if metres < 0.01:
-        return f"{1000 * metres:.1f} mm"
-    return f"{100 * metres:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+    unit, per_m = ("mm", 1000.0) if metres < 0.01 else ("cm", 100.0) if metres < 1.0 else ("m", 1.0)
+    number = per_m * metres
+    return f"{number:.{2 if number < 10.0 else 1}f} {unit}"
 
 
 def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision]) -> list[str]:
-    """Return what happened, one sentence per fact, the most important first."""
-    # Without any loop the graph still adjusts neighbouring keyframes to each other.
+    """Return what happened, one sentence per fact, the most important first.
+
+    Loop closure is credited with what it changed in the adjusted map, and with nothing else.
+    """
     is_closed = any(loop.attempt.rejection is None for loop in loops)
-    subject = "Loop closure" if is_closed else "The pose graph, without any loop,"
     if drift is None:
-        return [f"{subject} {_correction(result)}", _loops(drift, loops)]
-    sentences = [f"{subject} {_drift(result, drift)}", _loops(drift, loops)]
-    if min(drift.coverage, drift.after.matched_share) < 0.995:
+        return [_correction(result, is_closed), _loops(drift, loops)]
+    sentences = [_drift(result, drift, is_closed), _adjustment(drift), _loops(drift, loops)]
+    if min(drift.coverage, drift.corrected.matched_share) < 0.995:
         sentences.append(
             f"Ground truth covers {drift.coverage:.0%} of the sequence's time span; "
             "the figures say nothing about the rest."
@@ -38,26 +39,51 @@ def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision
     return sentences
 
 
-def _drift(result: SlamResult, drift: DriftReport) -> str:
-    before, after = drift.before.ate_rmse_m, drift.after.ate_rmse_m
+def _drift(result: SlamResult, drift: DriftReport, is_closed: bool) -> str:
+    without, after = drift.without_loops.ate_rmse_m, drift.corrected.ate_rmse_m
     frames = len(result.trajectory) + len(result.untracked_s)
-    compared = f"ATE RMSE, {len(drift.after.timestamps_s)} of {frames} frames compared"
-    if not np.isfinite(before) or abs(after - before) <= _NO_CHANGE * before:
-        return f"left the drift at {length(after)} ({compared})."
-    if after < before:
+    compared = f"ATE RMSE, {len(drift.corrected.timestamps_s)} of {frames} frames compared"
+    if not is_closed:
+        return f"No loop was closed; the drift is {length(after)} ({compared})."
+    if _is_same(without, after):
         return (
-            f"cut the drift from {length(before)} to {length(after)} "
-            f"({compared}, {1 - after / before:.0%} less)."
+            f"Loop closure changed nothing here: the drift is {length(after)} with loops and"
+            f" {length(without)} without ({compared})."
         )
-    return f"made the drift worse: {length(before)} became {length(after)} ({compared})."
-
-
-def _correction(result: SlamResult) -> str:
-    shift = result.trajectory.T_world_cam[:, :3, 3] - result.odometry.T_world_cam[:, :3, 3]
-    moved_m = np.linalg.norm(shift, axis=1) if len(shift) else np.zeros(1)
+    if after < without:
+        return (
+            f"Loop closure cut the drift from {length(without)} (without loops) to {length(after)}"
+            f" ({compared}, {1 - after / without:.0%} less)."
+        )
     return (
-        f"moved the camera path by up to {length(moved_m.max())} ({length(moved_m.mean())} on "
-        "average). No ATE can be given: there is no ground truth to compare this run with."
+        f"Loop closure made the drift worse: {length(without)} (without loops) became"
+        f" {length(after)} ({compared})."
+    )
+
+
+def _adjustment(drift: DriftReport) -> str:
+    before, after = drift.odometry.ate_rmse_m, drift.without_loops.ate_rmse_m
+    if _is_same(before, after):
+        return f"Adjusting the map, without loops, left the odometry's drift at {length(before)}."
+    verb = "cut" if after < before else "raised"
+    return (
+        f"Adjusting the map, without loops, {verb} the odometry's drift from {length(before)} to"
+        f" {length(after)}."
+    )
+
+
+def _is_same(before: float, after: float) -> bool:
+    return not np.isfinite(before) or abs(after - before) <= _NO_CHANGE * before
+
+
+def _correction(result: SlamResult, is_closed: bool) -> str:
+    unknown = "No ATE can be given: there is no ground truth to compare this run with."
+    if not is_closed:
+        return f"No loop was closed, so none moved the camera path. {unknown}"
+    moved_m = result.moved_by_loops_m
+    return (
+        f"Loop closure moved the camera path by up to {length(moved_m.max())}"
+        f" ({length(moved_m.mean())} on average). {unknown}"
     )
 
 

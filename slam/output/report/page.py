@@ -11,7 +11,8 @@ import numpy as np
 from markupsafe import Markup
 
 from placerec.files import write_atomically
-from slam.evaluation.drift import DriftReport
+from slam.evaluation.drift import DriftReport, TrajectoryError
+from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.output.decision import ACCEPTED, FALSE, Decision, decisions
 from slam.output.report.gallery import choose, picture
 from slam.output.report.headline import headline, length
@@ -71,6 +72,8 @@ def write_report(
         result=result,
         drift=drift,
         headline=headline(result, drift, loops),
+        errors=_errors(drift) if drift else [],
+        right_nees=RIGHT_MEDIAN_NEES,
         frames=frames,
         counts=_count(loops),
         drawings=_drawings(result, drift, paths, loops),
@@ -89,6 +92,17 @@ def write_report(
         versions=_versions(),
     )
     write_atomically(path, page)
+
+
+def _errors(drift: DriftReport) -> list[tuple[str, TrajectoryError | None, str]]:
+    """Return name, error and CSS class, which is that of its colour, of each trajectory."""
+    rows: list[tuple[str, TrajectoryError | None, str]] = [
+        ("Odometry, live", drift.odometry, "b"),
+        ("Corrected, live", drift.live, ""),
+        ("In the end, without loops", drift.without_loops, "w"),
+        ("In the end, with loops", drift.corrected, "a"),
+    ]
+    return [*rows, ("The same, smoothed", drift.smoothed, "")] if drift.smoothed else rows
 
 
 def _drawings(

@@ -5,7 +5,17 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 
-from placerec.drawing import AFTER, BEFORE, INK, LOST, TRUTH, WIDTH_IN, WRONG, draw
+from placerec.drawing import (
+    AFTER,
+    BEFORE,
+    INK,
+    LOST,
+    TRUTH,
+    WIDTH_IN,
+    WITHOUT,
+    WRONG,
+    draw,
+)
 from slam.evaluation.drift import DriftReport
 from slam.output.decision import ACCEPTED, FALSE, Decision
 from slam.output.report.paths import SESSION_GAP_S, Paths, broken
@@ -72,29 +82,29 @@ def _mark_start_and_losses(axes: Axes, paths: Paths, plane: tuple[int, int]) -> 
 def error_over_time(
     paths: Paths, result: SlamResult, drift: DriftReport | None, loops: list[Decision]
 ) -> Markup:
-    """Draw the position error along time, before and after loop closure.
+    """Draw the position error along time: of the odometry, and in the end without and with loops.
 
     Without ground truth, `drift` None, draw how far loop closure moved each frame.
     """
     if drift is not None:
-        what, label = "Position error along time before and after loop closure", "position error"
+        what = "Position error along time, of the odometry and in the end without and with loops"
+        label = "position error"
         curves = [
-            (paths.elapsed_s(error.timestamps_s), error.position_errors_m, colour, name)
-            for error, colour, name in (
-                (drift.before, BEFORE, "odometry"),
-                (drift.after, AFTER, "corrected"),
+            (paths.elapsed_s(error.timestamps_s), error.position_errors_m, colour, name, width)
+            for error, colour, name, width in (
+                (drift.odometry, BEFORE, "odometry", 1.1),
+                (drift.without_loops, WITHOUT, "without loops", 1.1),
+                (drift.corrected, AFTER, "corrected", 1.6),
             )
         ]
     else:
-        what, label = "How far loop closure moved each frame along time", "odometry to corrected"
-        shift = result.trajectory.T_world_cam - result.odometry.T_world_cam
-        moved_m = np.linalg.norm(shift[:, :3, 3], axis=1)
-        curves = [(paths.times_s, moved_m, AFTER, "correction")]
+        what, label = "How far loop closure moved each frame along time", "moved by loops"
+        curves = [(paths.times_s, result.moved_by_loops_m, AFTER, "correction", 1.6)]
 
     def paint(axes: Axes) -> None:
-        for times_s, lengths_m, colour, name in curves:
+        for times_s, lengths_m, colour, name, width in curves:
             times, lengths = broken(times_s, lengths_m)
-            axes.plot(times, 100 * lengths, color=colour, lw=1.4, label=name)
+            axes.plot(times, 100 * lengths, color=colour, lw=width, label=name)
         axes.set_ylabel(f"{label} (cm)")
         _mark_times(axes, paths, loops)
 

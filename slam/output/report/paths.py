@@ -68,8 +68,8 @@ class Paths:
 
 def gather(result: SlamResult, drift: DriftReport | None, truth: Trajectory | None) -> Paths:
     """Return the paths of a run, each aligned to ground truth where a drift report says how."""
-    to_truth_before = drift.before.T_truth_world if drift is not None else np.eye(4)
-    to_truth_after = drift.after.T_truth_world if drift is not None else np.eye(4)
+    to_truth_before = drift.odometry.T_truth_world if drift is not None else np.eye(4)
+    to_truth_after = drift.corrected.T_truth_world if drift is not None else np.eye(4)
     stamps_s = result.trajectory.timestamps_s
     keyframes_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     frames_s = np.unique(np.concatenate([stamps_s, keyframes_s, result.untracked_s]))
@@ -99,7 +99,7 @@ def gather(result: SlamResult, drift: DriftReport | None, truth: Trajectory | No
         elapsed_s=elapsed_s,
         times_s=elapsed_s(stamps_s),
         before_m=se3.transform(to_truth_before, result.odometry.T_world_cam[:, :3, 3]),
-        after_m=se3.transform(to_truth_after, result.trajectory.T_world_cam[:, :3, 3]),
+        after_m=se3.transform(to_truth_after, result.corrected.T_world_cam[:, :3, 3]),
         keyframes_m=se3.transform(to_truth_after, result.T_world_kf[:, :3, 3]),
         truth_m=truth_m,
         truth_times_s=truth_times_s,

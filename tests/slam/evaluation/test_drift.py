@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slam.config import EvaluationConfig
-from slam.evaluation.drift import compare_drift, coverage, judge_loops, trajectory_error
+from slam.evaluation.drift import compare_drift, coverage, trajectory_error
 from slam.evaluation.trajectory import read_tum
 from slam.geometry import se3
+from slam.result import SlamResult
 from slam.types import (
-    Features,
-    Frame,
+    Camera,
     Keyframe,
+    Link,
     LoopAttempt,
     Rejection,
     RejectionReason,
@@ -41,32 +43,6 @@ def along(stamps_s, poses):
 
 def square(stamps_s=(0.0, 1.0, 2.0, 3.0)):
     return along(stamps_s, [moved(1.0, 0.0), moved(0.0, 1.0), moved(-1.0, 0.0), moved(0.0, -1.0)])
-
-
-def keyframe(index, timestamp_s):
-    nothing = np.zeros((0, 2))
-    features = Features(
-        nothing,
-        nothing,
-        np.zeros(0, dtype=np.int64),
-        np.zeros((0, 32), dtype=np.uint8),
-        np.zeros(0),
-        np.zeros((0, 3)),
-    )
-    preview = Frame(
-        timestamp_s, np.zeros((1, 1, 3), dtype=np.uint8), np.zeros((1, 1), dtype=np.float32)
-    )
-    return Keyframe(index, timestamp_s, np.eye(4), features, preview)
-
-
-def attempt(T_match_query, query_id=1, match_id=0):
-    motion = RelativePose(T_match_query, np.eye(6))
-    seen = Verification(motion, np.zeros((3, 4)), np.ones(3, dtype=np.bool_), np.zeros((3, 3)))
-    return LoopAttempt(query_id, match_id, 0.9, seen, motion)
-
-
-def rejected(reason, verification=None):
-    return LoopAttempt(1, 0, 0.1, verification, Rejection(reason, 0.1, 0.5))
 
 
 def test_a_moved_copy_of_the_truth_has_no_error():
@@ -155,63 +131,106 @@ def test_coverage_counts_ends_and_gaps_of_the_truth():
     assert coverage(estimate, truth_at(-3.0, -2.75)) == 0.0
 
 
-TRUE_MOTION = moved(0.3, 0.4, turn_deg=20.0)
-KEYFRAMES = (keyframe(0, 0.0), keyframe(1, 5.0), keyframe(2, 7.5))
-T_MOCAP = se3.exp(np.array([0.7, -0.2, 0.4, 3.0, 2.0, 1.0]))
-LOOP_TRUTH = along([0.01, 5.01, 7.0], [T_MOCAP, T_MOCAP @ TRUE_MOTION, T_MOCAP])
+def seen(motion):
+    mask = np.ones(3, dtype=np.bool_)
+    return Verification(motion, np.zeros((3, 4)), mask, np.zeros((3, 3)))
 
 
-def judged(*attempts):
-    return judge_loops(attempts, KEYFRAMES, LOOP_TRUTH, CONFIG)
+def attempt(T_match_query):
+    return LoopAttempt(1, 0, 0.9, None, RelativePose(T_match_query, np.eye(6)))
 
 
-def test_a_right_loop_is_not_false():
-    (loop,) = judged(attempt(TRUE_MOTION @ moved(0.03, 0.04, turn_deg=2.0)))
-    assert loop.translation_error_m == pytest.approx(0.05)
-    assert loop.rotation_error_deg == pytest.approx(2.0)
-    assert loop.true_distance_m == pytest.approx(0.5)
-    assert loop.true_angle_deg == pytest.approx(20.0)
-    assert loop.is_false is False
-
-
-@pytest.mark.parametrize("off", [moved(0.11), moved(turn_deg=5.1)])
-def test_a_loop_off_in_place_or_in_angle_is_false(off):
-    assert judged(attempt(TRUE_MOTION @ off))[0].is_false is True
-    assert judged(attempt(se3.inverse(TRUE_MOTION)))[0].is_false is True
-
-
-def test_loops_that_are_not_in_use_are_not_false():
-    wrong = attempt(moved(5.0))
-    by_similarity, outvoted = judged(
-        rejected(RejectionReason.LOW_SIMILARITY),
-        rejected(RejectionReason.OUTVOTED, wrong.verification),
+def result(truth, **fields):
+    """Return a run whose trajectories are all right and whose frames are all keyframes."""
+    keyframes = tuple(
+        Keyframe(k, float(stamp_s), truth.T_world_cam[k], None, None)
+        for k, stamp_s in enumerate(truth.timestamps_s)
     )
-    assert math.isnan(by_similarity.translation_error_m)
-    assert by_similarity.true_distance_m == pytest.approx(0.5)
-    assert outvoted.translation_error_m > 4.0
-    assert by_similarity.is_false is None
-    assert outvoted.is_false is None
+    same = dict.fromkeys(("odometry", "live", "without_loops", "trajectory"), truth)
+    nothing = {"links": (), "attempts": (), "untracked_s": np.zeros(0), "warnings": ()}
+    return SlamResult(
+        camera=Camera(640, 480, 525.0, 525.0, 319.5, 239.5),
+        keyframes=keyframes,
+        T_world_kf=truth.T_world_cam,
+        similarities=np.zeros((0, 0), np.float32),
+        min_similarity=0.5,
+        stage_seconds={},
+        **same | nothing | fields,
+    )
 
 
-def test_loops_without_truth_at_both_keyframes_are_unknown():
-    (loop,) = judged(attempt(TRUE_MOTION, query_id=2))
-    assert loop.is_false is None
-    assert math.isnan(loop.true_distance_m)
-    assert math.isnan(loop.translation_error_m)
+def scaled(trajectory, factor):
+    T_world_cam = trajectory.T_world_cam.copy()
+    T_world_cam[:, :3, 3] *= factor
+    return Trajectory(trajectory.timestamps_s, T_world_cam)
 
 
-def test_report_before_and_after():
+def test_each_trajectory_has_its_own_error():
     truth = square((0.0, 0.5, 1.0, 1.5))
-    odometry = square(truth.timestamps_s)
-    odometry.T_world_cam[:, :3, 3] *= 1.5
-    keyframes = (keyframe(0, 0.0), keyframe(1, 1.5))
-    report = compare_drift(odometry, truth, truth, [attempt(np.eye(4))], keyframes, CONFIG)
-    assert report.before.ate_rmse_m == pytest.approx(0.5)
-    assert report.after.ate_rmse_m == pytest.approx(0.0, abs=1e-12)
+    report = compare_drift(
+        result(
+            truth,
+            odometry=scaled(truth, 1.5),
+            live=scaled(truth, 1.4),
+            without_loops=scaled(truth, 1.3),
+            trajectory=scaled(truth, 1.2),
+            attempts=(attempt(np.eye(4)),),
+        ),
+        truth,
+        CONFIG,
+    )
+    assert report.odometry.ate_rmse_m == pytest.approx(0.5)
+    assert report.live.ate_rmse_m == pytest.approx(0.4)
+    assert report.without_loops.ate_rmse_m == pytest.approx(0.3)
+    assert report.corrected.ate_rmse_m == pytest.approx(0.2)
+    assert report.smoothed is None
     assert report.truth_length_m == pytest.approx(3.0 * math.sqrt(2.0))
     assert report.coverage == 1.0
     assert (report.tolerance_s, report.rpe_interval_s) == (0.02, 1.0)
     assert [loop.is_false for loop in report.loops] == [True]
+
+
+def test_what_is_smoothed_stands_apart_from_what_was_tracked():
+    truth = square()
+    smoothed = result(truth, trajectory=scaled(truth, 1.2), unsmoothed=scaled(truth, 1.1))
+    report = compare_drift(smoothed, truth, CONFIG)
+    assert report.corrected.ate_rmse_m == pytest.approx(0.1)
+    assert report.smoothed.ate_rmse_m == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_too_few_live_frames_have_no_error(count):
+    truth = square()
+    few = Trajectory(truth.timestamps_s[:count], truth.T_world_cam[:count])
+    report = compare_drift(result(truth, live=few), truth, CONFIG)
+    assert report.live is None
+    assert report.corrected.ate_rmse_m == pytest.approx(0.0, abs=1e-12)
+
+
+def test_medians_are_of_links_and_accepted_loops_that_truth_covers():
+    truth = square((0.0, 1.0, 2.0, 9.0))
+    known = Trajectory(truth.timestamps_s[:3], truth.T_world_cam[:3])
+    T_0_1 = se3.inverse(truth.T_world_cam[0]) @ truth.T_world_cam[1]
+
+    def off_by(metres):
+        return RelativePose(T_0_1 @ moved(metres), 100.0 * np.eye(6))
+
+    outvoted = LoopAttempt(1, 0, 0.9, None, Rejection(RejectionReason.OUTVOTED, 0.0, 0.5))
+    run = result(
+        truth,
+        links=(Link(0, 1, off_by(0.1)), Link(0, 1, off_by(0.3)), Link(0, 3, off_by(9.0))),
+        attempts=(
+            LoopAttempt(1, 0, 0.9, None, off_by(0.2)),
+            replace(outvoted, verification=seen(off_by(2.0))),
+            LoopAttempt(3, 0, 0.9, None, off_by(9.0)),
+        ),
+    )
+    report = compare_drift(run, known, CONFIG)
+    np.testing.assert_allclose(report.links_nees, [1.0, 9.0, np.nan])
+    assert report.median_links_nees == pytest.approx(5.0)
+    assert report.median_loops_nees == pytest.approx(4.0)
+    nothing = compare_drift(result(truth), truth, CONFIG)
+    assert math.isnan(nothing.median_links_nees) and math.isnan(nothing.median_loops_nees)
 
 
 def test_figures_agree_with_evo():
@@ -263,5 +282,6 @@ def test_the_way_between_sessions_is_no_part_of_the_path():
     stamps_s = [0.0, 1.0, 100.0, 101.0]
     path = along(stamps_s, [moved(x) for x in (0.0, 1.0, 50.0, 51.0)])
     for starts_s, length_m in (((), 51.0), ((100.0,), 2.0)):
-        report = compare_drift(path, path, path, (), (), CONFIG, starts_s)
+        run = result(path, session_starts_s=np.array(starts_s))
+        report = compare_drift(run, path, CONFIG)
         assert report.truth_length_m == pytest.approx(length_m)

@@ -5,7 +5,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placerec.errors import LoopcloseError
-from slam.evaluation.trajectory import align, associate, path_length_m, read_tum, write_tum
+from slam.evaluation.trajectory import (
+    align,
+    associate,
+    path_length_m,
+    poses_at,
+    read_tum,
+    write_tum,
+)
 from slam.geometry import se3
 from slam.types import SlamError, Trajectory
 
@@ -167,3 +174,25 @@ def test_path_length():
     trajectory.T_world_cam[:, :3, 3] = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 2.0]]
     assert path_length_m(trajectory) == 7.0
     assert path_length_m(at([0.0])) == 0.0
+
+
+def test_between_two_poses_the_camera_moves_steadily():
+    turn = np.array([0.2, -0.1, 0.3, 1.0, 2.0, 3.0])
+    known = Trajectory(np.array([1.0, 1.02]), np.stack([se3.exp(turn), se3.exp(2 * turn)]))
+    found = poses_at(known, np.array([1.0, 1.005, 1.02]), tolerance_s=0.02)
+    expected = se3.exp(np.array([[1.0], [1.25], [2.0]]) * turn)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_only_poses_within_the_tolerance_say_where_the_camera_was():
+    known = at([1.0, 2.0, 5.0])
+    known.T_world_cam[:, 0, 3] = [1.0, 2.0, 5.0]
+    found = poses_at(known, np.array([0.9, 0.95, 1.04, 1.5, 1.97, 5.05, 5.2]), tolerance_s=0.06)
+    np.testing.assert_array_equal(found[:, 0, 3], [np.nan, 1.0, 1.0, np.nan, 2.0, 5.0, np.nan])
+    assert np.isnan(found[0]).all()
+
+
+@pytest.mark.parametrize(("known", "asked"), [(0, 2), (2, 0), (0, 0)])
+def test_nothing_known_or_asked_is_no_pose(known, asked):
+    found = poses_at(at(range(known)), np.full(asked, 0.5), tolerance_s=0.02)
+    assert found.shape == (asked, 4, 4) and np.isnan(found).all()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from placerec.certificate import Certificate
-from slam.evaluation.drift import DriftReport, LoopTruth, TrajectoryError
+from slam.evaluation.drift import DriftReport, TrajectoryError
+from slam.evaluation.motion_truth import LoopTruth
 from slam.result import Calibration, SlamResult
 from slam.types import (
     Camera,
@@ -87,8 +88,8 @@ def judge(loop: LoopAttempt) -> LoopTruth:
     if loop.weight is None:
         return LoopTruth(np.nan, np.nan, 0.8, 25.0, None)
     if loop.weight < 0.5:
-        return LoopTruth(0.31, 0.7, 0.1, 4.0, None)
-    return LoopTruth(0.02, 0.7, 0.1, 4.0, False)
+        return LoopTruth(0.31, 0.7, 0.1, 4.0, None, 800.0)
+    return LoopTruth(0.02, 0.7, 0.1, 4.0, False, 5.4)
 
 
 def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
@@ -96,8 +97,10 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
     generator = np.random.default_rng(7)
     times = 0.1 * np.arange(keyframes * PER_KEYFRAME)
     true_poses = circle(times)
-    odometry, corrected = true_poses.copy(), true_poses.copy()
-    odometry[:, :3, 3] += 0.01 * times[:, None] * np.array([1.0, -0.5, 0.2])
+    odometry, without_loops, corrected = true_poses.copy(), true_poses.copy(), true_poses.copy()
+    drifted_m = 0.01 * times[:, None] * np.array([1.0, -0.5, 0.2])
+    odometry[:, :3, 3] += drifted_m
+    without_loops[:, :3, 3] += 0.6 * drifted_m
     corrected[:, :3, 3] += generator.normal(0, 0.004, (len(times), 3))
     frames = tuple(
         Keyframe(
@@ -116,6 +119,8 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
         keyframes=frames,
         T_world_kf=corrected[::PER_KEYFRAME],
         odometry=Trajectory(times, odometry),
+        live=Trajectory(times, odometry),
+        without_loops=Trajectory(times, without_loops),
         trajectory=Trajectory(times, corrected),
         links=(),
         attempts=loops,
@@ -128,10 +133,22 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
     )
     errors = (
         np.linalg.norm(poses[:, :3, 3] - true_poses[:, :3, 3], axis=1)
-        for poses in (odometry, corrected)
+        for poses in (odometry, without_loops, corrected)
     )
-    before, after = (error(times, one) for one in errors)
-    drift = DriftReport(before, after, tuple(map(judge, loops)), 0.02, 1.0, 1.0, 17.2)
+    tracked, without, after = (error(times, one) for one in errors)
+    drift = DriftReport(
+        odometry=tracked,
+        live=tracked,
+        without_loops=without,
+        corrected=after,
+        smoothed=None,
+        loops=tuple(map(judge, loops)),
+        links_nees=np.array([4.0, 5.0, 6.0, np.nan]),
+        tolerance_s=0.02,
+        coverage=1.0,
+        rpe_interval_s=1.0,
+        truth_length_m=17.2,
+    )
     return Run(result, drift, Trajectory(times, true_poses))
 
 

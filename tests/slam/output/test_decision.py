@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.evaluation.drift import LoopTruth
+from slam.evaluation.motion_truth import LoopTruth
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision, decisions
 from slam.types import LoopAttempt, Rejection, RejectionReason, RelativePose
 
@@ -27,7 +27,12 @@ WRONG = LoopTruth(0.40, 0.5, 0.1, 3.0, True)
         (RejectionReason.LOW_INLIER_RATIO, 0.18, 0.25, "needed 25.0% of the matches"),
         (RejectionReason.NARROW_SUPPORT, 0.012, 0.04, "2.8 points short"),
         (RejectionReason.OUTVOTED, 0.02, 0.5, "needed weight 0.50 in the pose graph, had 0.02"),
-        (RejectionReason.UNCERTAIN_MOTION, 0.123, 0.1, "known to 10.0 cm, had 12.3 cm"),
+        (
+            RejectionReason.UNCERTAIN_MOTION,
+            0.123,
+            0.1,
+            "10.0% of the depth of what is seen, had 12.3%",
+        ),
         (RejectionReason.LOW_SIMILARITY, np.nan, 0.75, "needed similarity 0.750, had none"),
         (RejectionReason.UNJOINED, 1, 2, "needed 2 places at which loops agree where its part"),
     ],

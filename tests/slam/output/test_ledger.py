@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from slam.evaluation.drift import DriftReport, LoopTruth, TrajectoryError
+from slam.evaluation.drift import DriftReport, TrajectoryError
+from slam.evaluation.motion_truth import LoopTruth
 from slam.geometry import se3
 from slam.output.ledger import MotionRecord, TruthRecord, loop_records, read_ledger, write_ledger
 from slam.result import SlamResult
@@ -42,8 +43,9 @@ ATTEMPTS = (
     LoopAttempt(1, 0, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
     LoopAttempt(1, 0, 0.7, verification(MOTION), OUTVOTED, 0.0),
 )
+CONDITIONS = {"tolerance_s": 0.02, "coverage": 1.0, "rpe_interval_s": 1.0, "truth_length_m": 5.0}
 TRUTHS = (
-    LoopTruth(0.01, 0.5, 1.0, 20.0, False),
+    LoopTruth(0.01, 0.5, 1.0, 20.0, False, 5.5),
     LoopTruth(NAN, NAN, 2.0, 30.0, None),
     LoopTruth(NAN, NAN, NAN, NAN, None),
     LoopTruth(4.0, 50.0, 1.0, 20.0, None),
@@ -74,6 +76,8 @@ def result(attempts=ATTEMPTS):
         keyframes=tuple(keyframe(index) for index in range(3)),
         T_world_kf=np.tile(np.eye(4), (3, 1, 1)),
         odometry=nothing,
+        live=nothing,
+        without_loops=nothing,
         trajectory=nothing,
         links=(),
         attempts=attempts,
@@ -87,7 +91,8 @@ def result(attempts=ATTEMPTS):
 
 def drift(loops=TRUTHS):
     error = TrajectoryError(np.zeros(3), np.eye(4), np.zeros(3), 0.0, 0.0, 0.0, 1.0)
-    return DriftReport(error, error, loops, 0.02, 1.0, 1.0, 5.0)
+    errors = dict.fromkeys(("odometry", "live", "without_loops", "corrected", "smoothed"), error)
+    return DriftReport(**errors, loops=loops, links_nees=np.zeros(0), **CONDITIONS)
 
 
 def test_round_trip(tmp_path):
@@ -125,7 +130,7 @@ def test_an_accepted_loop_carries_its_motion_and_its_truth():
     upper = np.zeros((6, 6))
     upper[np.triu_indices(6)] = motion.information
     np.testing.assert_allclose(upper, np.triu(MOTION.information), rtol=1e-8)
-    assert record.truth == TruthRecord(0.01, 0.5, 1.0, 20.0, False)
+    assert record.truth == TruthRecord(0.01, 0.5, 1.0, 20.0, False, 5.5)
 
 
 def test_a_rejected_loop_says_why_and_how_far_it_was_from_being_accepted():
@@ -135,7 +140,7 @@ def test_a_rejected_loop_says_why_and_how_far_it_was_from_being_accepted():
     assert record.explanation == RejectionReason.FEW_INLIERS.value
     assert (record.measured, record.needed, record.margin) == (12.0, 25.0, 13.0)
     assert record.T_match_query is record.weight is None
-    assert record.truth == TruthRecord(None, None, 2.0, 30.0, None)
+    assert record.truth == TruthRecord(None, None, 2.0, 30.0, None, None)
 
 
 def test_a_loop_below_the_threshold_was_never_shown_to_geometry():

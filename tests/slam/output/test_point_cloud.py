@@ -41,6 +41,8 @@ def result_of(keyframes, T_world_kf=None, camera=CAMERA):
         keyframes=tuple(keyframes),
         T_world_kf=np.asarray(T_world_kf),
         odometry=nothing,
+        live=nothing,
+        without_loops=nothing,
         trajectory=nothing,
         links=(),
         attempts=(),

@@ -44,14 +44,7 @@ def result(room_run):
 
 @pytest.fixture(scope="module")
 def drift(result, sequence):
-    return compare_drift(
-        result.odometry,
-        result.trajectory,
-        sequence.ground_truth,
-        result.attempts,
-        result.keyframes,
-        EvaluationConfig(),
-    )
+    return compare_drift(result, sequence.ground_truth, EvaluationConfig())
 
 
 @pytest.fixture(scope="module")
@@ -76,14 +69,7 @@ def test_what_was_not_joined_is_in_no_file_but_the_ledger(tmp_path, frames, sequ
     parted = slam.finish()
     is_apart = np.isnan(parted.T_world_kf[:, 0, 0])
     assert 0 < is_apart.sum() < len(is_apart)
-    drift = compare_drift(
-        parted.odometry,
-        parted.trajectory,
-        sequence.ground_truth,
-        parted.attempts,
-        parted.keyframes,
-        EvaluationConfig(),
-    )
+    drift = compare_drift(parted, sequence.ground_truth, EvaluationConfig())
     write_run(tmp_path, parted, drift, sequence.ground_truth, CONFIG, *NAMES)
     assert names(tmp_path) == sorted(IN_ORDER)
     assert len(read_tum(tmp_path / "keyframes.txt").timestamps_s) == (~is_apart).sum()
@@ -159,7 +145,7 @@ def test_the_settings_are_those_of_the_run(written):
 
 def test_the_summary_is_json_with_the_drift(written, drift):
     summary = json.loads((written / "summary.json").read_text())
-    assert summary["ate_after_m"] == pytest.approx(drift.after.ate_rmse_m)
+    assert summary["ate_corrected_m"] == pytest.approx(drift.corrected.ate_rmse_m)
     assert summary["frames_tracked"] == 60
 
 
@@ -177,7 +163,7 @@ def test_without_truth_or_map_their_files_are_left_out(tmp_path, result):
     config = Config(map=MapConfig(write=False))
     write_run(tmp_path, result, None, None, config, *NAMES)
     assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt", "map.ply"})
-    assert json.loads((tmp_path / "summary.json").read_text())["ate_after_m"] is None
+    assert json.loads((tmp_path / "summary.json").read_text())["ate_corrected_m"] is None
 
 
 def test_truth_that_could_not_be_compared_is_copied_all_the_same(tmp_path, result, sequence):

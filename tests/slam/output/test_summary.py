@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,8 @@ import numpy as np
 import pytest
 
 from placerec.certificate import Certificate
-from slam.evaluation.drift import DriftReport, LoopTruth, TrajectoryError
+from slam.evaluation.drift import DriftReport, TrajectoryError
+from slam.evaluation.motion_truth import LoopTruth
 from slam.output.summary import summarise, summary_table
 from slam.result import Calibration, SlamResult
 from slam.types import (
@@ -22,6 +24,7 @@ from slam.types import (
     Trajectory,
 )
 
+TRAJECTORIES = ("odometry", "live", "without_loops", "corrected", "smoothed")
 MOTION = RelativePose(np.eye(4), np.eye(6))
 ACCEPTED = LoopAttempt(9, 0, 0.9, None, MOTION, 1.0)
 OUTVOTED = LoopAttempt(9, 2, 0.9, None, Rejection(RejectionReason.OUTVOTED, 0.0, 0.5), 0.0)
@@ -36,6 +39,8 @@ def result(attempts=ATTEMPTS, frames=8, stage_seconds=None):
         keyframes=(),
         T_world_kf=np.zeros((0, 4, 4)),
         odometry=tracked,
+        live=tracked,
+        without_loops=tracked,
         trajectory=tracked,
         links=(Link(0, 1, MOTION),),
         attempts=attempts,
@@ -52,9 +57,19 @@ def drift(rpe_after=(math.nan, math.nan), verdicts=(True, False, None, None, Non
     def error(ate_m, rpe_m, rpe_deg):
         return TrajectoryError(np.zeros(6), np.eye(4), np.zeros(6), ate_m, rpe_m, rpe_deg, 0.75)
 
-    loops = tuple(LoopTruth(1.0, 1.0, 1.0, 1.0, verdict) for verdict in verdicts)
+    loops = tuple(LoopTruth(1.0, 1.0, 1.0, 1.0, verdict, 5.0) for verdict in verdicts)
     return DriftReport(
-        error(0.05, 0.03, 2.0), error(0.02, *rpe_after), loops, 0.02, 0.905, 1.0, 12.5
+        odometry=error(0.05, 0.03, 2.0),
+        live=error(0.04, 0.025, 1.5),
+        without_loops=error(0.03, 0.02, 1.2),
+        corrected=error(0.02, *rpe_after),
+        smoothed=None,
+        loops=loops,
+        links_nees=np.array([4.0, 8.0, np.nan]),
+        tolerance_s=0.02,
+        coverage=0.905,
+        rpe_interval_s=1.0,
+        truth_length_m=12.5,
     )
 
 
@@ -104,14 +119,36 @@ def test_a_part_of_the_map_that_was_not_joined_is_counted():
 
 def test_errors_stand_beside_how_they_were_taken():
     summary = summarise(result(), drift())
-    assert (summary["ate_before_m"], summary["ate_after_m"]) == (0.05, 0.02)
-    assert summary["rpe_translation_before_m"] == 0.03
-    assert summary["rpe_rotation_before_deg"] == 2.0
-    assert summary["rpe_translation_after_m"] is summary["rpe_rotation_after_deg"] is None
+    ates = [summary[f"ate_{name}_m"] for name in TRAJECTORIES]
+    assert ates == [0.05, 0.04, 0.03, 0.02, None]
+    assert summary["rpe_translation_odometry_m"] == 0.03
+    assert summary["rpe_rotation_live_deg"] == 1.5
+    assert summary["rpe_rotation_without_loops_deg"] == 1.2
+    assert summary["rpe_translation_corrected_m"] is summary["rpe_rotation_corrected_deg"] is None
     assert (summary["alignment"], summary["scale"]) == ("SE(3)", 1.0)
     assert (summary["association_tolerance_s"], summary["rpe_interval_s"]) == (0.02, 1.0)
     assert (summary["matched_share"], summary["truth_coverage"]) == (0.75, 0.905)
     assert summary["truth_length_m"] == 12.5
+    assert (summary["nees_links_median"], summary["nees_loops_median"]) == (6.0, 5.0)
+
+
+def test_every_key_is_documented():
+    for key in summarise(result(), drift()):
+        family = re.sub(rf"_({'|'.join(TRAJECTORIES)})_", "_*_", key)
+        assert re.search(rf"\b{re.escape(family)}\b", summarise.__doc__), key
+
+
+def test_live_frames_without_an_error_are_counted_all_the_same():
+    few = replace(result(), live=Trajectory(np.arange(2.0), np.tile(np.eye(4), (2, 1, 1))))
+    summary = summarise(few, replace(drift(), live=None))
+    assert summary["frames_live"] == 2
+    assert summary["ate_live_m"] is summary["rpe_translation_live_m"] is None
+
+
+def test_what_smoothing_does_stands_apart():
+    smoothed = replace(drift(), smoothed=replace(drift().corrected, ate_rmse_m=0.015))
+    summary = summarise(result(), smoothed)
+    assert (summary["ate_corrected_m"], summary["ate_smoothed_m"]) == (0.02, 0.015)
 
 
 def test_timings_are_per_frame_whether_tracked_or_not():
@@ -124,8 +161,16 @@ def test_timings_are_per_frame_whether_tracked_or_not():
 def test_without_truth_or_frames_the_same_keys_are_unknown():
     summary = summarise(result((), frames=0, stage_seconds={}), None)
     assert list(summary) == list(summarise(result(), drift()))
-    for name in ("ate_before_m", "ate_after_m", "loops_false", "alignment", "frames_per_second"):
+    for name in (
+        "ate_odometry_m",
+        "ate_live_m",
+        "nees_links_median",
+        "loops_false",
+        "alignment",
+        "frames_per_second",
+    ):
         assert summary[name] is None
+    assert summary["frames_per_second"] is None
     assert summary["stage_ms_per_frame"] == {}
 
 
@@ -154,10 +199,13 @@ def test_the_whole_run_in_a_few_lines():
         "keyframes  0",
         "recognizer verifies from similarity 0.500, without a certificate",
         "loops      2 accepted of 5 candidates, 2 outvoted by the graph; 1 of 2 checked are false",
-        "ATE        0.0500 m -> 0.0200 m corrected",
+        "ATE        odometry 0.0500 m; live, corrected 0.0400 m",
+        "           in the end without loops 0.0300 m, with loops 0.0200 m; not smoothed",
         "           RMSE over 75.0% of the tracked frames (truth within 20 ms, it covers 90.5%)",
         "           after SE(3) alignment, scale not adjusted",
-        "RPE        0.0300 m -> 0.0123 m, 2.00 deg -> 1.00 deg over 1 s",
+        "RPE        0.0300 m -> 0.0123 m, 2.00 deg -> 1.00 deg over 1 s, odometry -> with loops",
+        "NEES       links 6.0, loops 5.0"
+        " (medians; 5.35 is right, more: errors are larger than claimed)",
         "pipeline   25.0 frames/s",
         f"report     {Path('runs/desk/report.html')}",
     ]
@@ -186,6 +234,27 @@ def test_an_error_over_an_interval_that_no_frames_are_apart_is_said_to_be_unknow
     text = "\n".join(lines(result(), drift()))
     assert "RPE        unknown: no two compared frames are 1 s apart" in text
     assert "nan" not in text
+
+
+def test_live_figures_of_fewer_frames_say_so():
+    few = replace(drift().live, timestamps_s=np.zeros(4))
+    text = "\n".join(lines(result(), replace(drift(), live=few)))
+    assert "live, corrected 0.0400 m over 4 of 6 frames" in text
+    text = "\n".join(lines(result(), replace(drift(), live=None)))
+    assert "live, corrected unknown: too few frames" in text
+
+
+def test_a_smoothed_error_is_named():
+    smoothed = replace(drift(), smoothed=replace(drift().corrected, ate_rmse_m=0.015))
+    assert "with loops 0.0200 m; not smoothed; smoothed 0.0150 m" in "\n".join(
+        lines(result(), smoothed)
+    )
+
+
+def test_nees_without_any_motion_that_truth_covers_is_unknown():
+    nothing = drift(verdicts=(None,) * 5)
+    text = "\n".join(lines(result(), replace(nothing, links_nees=np.zeros(0))))
+    assert "NEES       links unknown, loops unknown" in text
 
 
 def test_nothing_outvoted_and_nothing_judged_goes_unmentioned():

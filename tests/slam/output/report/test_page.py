@@ -120,11 +120,47 @@ def test_the_conditions_stand_beside_the_errors(page: Page) -> None:
         "at most 20 ms away",
         "SE(3)",
         "1 (not estimated",
-        "both paths alike",
+        "Smoothing none",
         "100.0 % of the sequence",
     ):
         assert words in page.text
     assert "ground truth" in page.text
+
+
+def test_every_trajectory_has_its_row_of_errors(run, page: Page) -> None:
+    drift = run.drift
+    for name, error in (
+        ("Odometry, live", drift.odometry),
+        ("Corrected, live", drift.live),
+        ("In the end, without loops", drift.without_loops),
+        ("In the end, with loops", drift.corrected),
+    ):
+        assert f"{name} {error.ate_rmse_m:.4f} m {error.rpe_translation_m:.4f} m," in page.text
+    assert "The same, smoothed" not in page.text
+
+
+def test_live_frames_too_few_to_compare_are_said_to_be(run) -> None:
+    page = page_of(run.result, replace(run.drift, live=None))
+    assert "Corrected, live too few frames" in page.text
+
+
+def test_what_is_smoothed_is_named(run, altered) -> None:
+    smoothed = replace(run.drift.corrected, ate_rmse_m=0.0123)
+    page = page_of(altered(), replace(run.drift, smoothed=smoothed))
+    assert "The same, smoothed 0.0123 m" in page.text
+    assert "Smoothing none but in the last row" in page.text
+
+
+def test_nees_stands_beside_what_it_should_be(page: Page) -> None:
+    assert "median NEES of links 5.0, of loops 5.4. 5.35 is right; more: errors" in page.text
+
+
+def test_error_over_time_is_drawn_of_odometry_and_without_loops_and_corrected(text: str) -> None:
+    drawing = text.split('aria-label="Position error', 1)[1].split("</svg>", 1)[0]
+    for name in ("odometry", "without loops", "corrected"):
+        assert f">{name}</text>" in drawing
+    for colour in ("before", "without", "after"):
+        assert f"var(--{colour})" in drawing
 
 
 def test_a_run_is_as_long_as_its_clock_says_though_its_stages_overlap(page: Page, run) -> None:
@@ -186,7 +222,8 @@ def test_all_rejected_and_untracked_frames(run, altered) -> None:
 def test_no_frame_tracked_but_the_first(altered, make: Callable) -> None:
     run = make(1, attempts=0)
     one = Trajectory(run.truth.timestamps_s[:1], run.truth.T_world_cam[:1])
-    result = replace(run.result, odometry=one, trajectory=one, stage_seconds={})
+    same = dict.fromkeys(("odometry", "live", "without_loops", "trajectory"), one)
+    result = replace(run.result, **same, stage_seconds={})
     assert "1 of 1" in page_of(result).text
 
 

@@ -13,7 +13,7 @@ PER_KEYFRAME = 5  # frames, in the run of conftest.py
 
 def test_paths_are_brought_into_the_frame_of_the_truth(run) -> None:
     T_truth_world = np.array([[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]], float)
-    drift = replace(run.drift, after=replace(run.drift.after, T_truth_world=T_truth_world))
+    drift = replace(run.drift, corrected=replace(run.drift.corrected, T_truth_world=T_truth_world))
     paths = gather(run.result, drift, run.truth)
     x, y, z = run.result.trajectory.T_world_cam[10, :3, 3]
     assert_allclose(paths.after_m[10], (5 - y, 6 + x, 7 + z))
