@@ -135,6 +135,23 @@ def test_poses_from_elsewhere_are_not_smoothed(drifting, monkeypatch):
     np.testing.assert_array_equal(result.trajectory.T_world_cam, result.T_world_kf)
 
 
+def test_a_step_that_no_camera_makes_is_warned_of(frames, T_first_cam):
+    T_odom_cam = T_first_cam[:24].copy()
+    T_odom_cam[14:, 0, 3] += 1.0
+    result, _ = add_all((frames[:24], T_odom_cam))
+    start_s, end_s = frames[13].timestamp_s, frames[14].timestamp_s
+    (warning,) = [each for each in result.warnings if "jump" in each]
+    assert f"between {start_s:.3f} s and {end_s:.3f} s" in warning
+
+
+def test_what_was_tracked_is_kept_beside_what_is_smoothed(result, drifting):
+    assert result.unsmoothed is not None and result.corrected is result.unsmoothed
+    np.testing.assert_array_equal(result.unsmoothed.timestamps_s, result.trajectory.timestamps_s)
+    assert (result.unsmoothed.T_world_cam != result.trajectory.T_world_cam).any()
+    elsewhere, _ = add_all(drifting)
+    assert elsewhere.unsmoothed is None and elsewhere.corrected is elsewhere.trajectory
+
+
 def test_links_tie_every_keyframe_and_attempts_look_back(result):
     count = len(result.keyframes)
     assert {link.query_id for link in result.links} == set(range(1, count))
