@@ -102,13 +102,15 @@ def _steps(
         is_judged &= (before[first] >= 0) & (after[last] < len(times_s))
         first, last = first[is_judged], last[is_judged]
         starts, ends = before[first], after[last]
-        # Frames that are stamped as they arrive, in a burst, were not taken in one.
-        duration_s = np.maximum(times_s[last] - times_s[first], length * interval_s)
-        size = _distance(
-            way[last] - way[first],
-            duration_s[:, None] * _velocity(times_s, way, starts, first),
-            duration_s[:, None] * _velocity(times_s, way, last, ends),
+        # Frames may be stamped as they arrive, late or in a burst, but were taken one by one.
+        stamped_s, usual_s = times_s[last] - times_s[first], length * interval_s
+        way_there = way[last] - way[first]
+        velocities = _velocity(times_s, way, starts, first), _velocity(times_s, way, last, ends)
+        size = np.minimum(
+            _distance(way_there, *(stamped_s[:, None] * each for each in velocities)),
+            _distance(way_there, *(usual_s * each for each in velocities)),
         )
+        duration_s = np.maximum(stamped_s, usual_s)
         side_s = np.maximum(times_s[first] - times_s[starts], times_s[ends] - times_s[last])
         possible = acceleration * duration_s * (0.25 * duration_s + 0.5 * side_s)
         for i in np.flatnonzero(size > possible):
