@@ -56,8 +56,8 @@ class SlamResult:
         live: the same, each corrected by the loops that were closed until then; without the frames
             of a segment of which was not known yet where it lies.
         without_loops: the same in the end, with all that is done to the map but loop closure.
-        trajectory: the same in the end, corrected; `T_world_kf` at the keyframes' times. Smoothed if
-            `motion.smooth` asks for it and the camera was tracked here.
+        trajectory: the same in the end, corrected; `T_world_kf` at the keyframes' times unless
+            `motion.smooth` asks for smoothing and the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.

@@ -202,7 +202,7 @@ class Slam:
             odometry=self._frames.live(T_world_kf, lambda segment, _: T_odom_segment[segment]),
             live=self._frames.live(T_world_kf, T_world_odom),
             without_loops=self._frames.trajectory(T_world_kf_without),
-            trajectory=self._smoothed(trajectory) if self._is_smoothed else trajectory,
+            trajectory=self._smoothed(trajectory),
             links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
