@@ -6,18 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FINE_PX, _COARSE_PX = (160, 120), (40, 30)
+_BLANK = 1.0  # squared slope of the coarse image, of up to 255 grey levels; pictures have thousands
 
 
 def sharpness(rgb: NDArray[np.uint8]) -> float:
     """Return how much fine structure a (H, W, 3) image has, of what its coarse structure promises.
 
     Both are the edges across which the fewest are: a smear takes away those across its direction,
-    and the fine ones first. What the image shows has little influence, a blank wall none.
+    and the fine ones first. What the image shows has little influence. An image without structure
+    has none that could be smeared: infinite.
     """
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     fine = cv2.resize(grey, _FINE_PX, interpolation=cv2.INTER_AREA)
     coarse = cv2.resize(fine, _COARSE_PX, interpolation=cv2.INTER_AREA)
-    return float(np.sqrt(_weakest_edges(fine) / max(_weakest_edges(coarse), 1e-9)))
+    promised = _weakest_edges(coarse)
+    return float(np.sqrt(_weakest_edges(fine) / promised)) if promised > _BLANK else np.inf
 
 
 def _weakest_edges(grey: cv2.typing.MatLike) -> float:

@@ -130,11 +130,12 @@ class RgbdOdometry:
 
         A corner may then be seen anywhere along its smear, and all agree on the wrong place.
         """
-        self._sharpness = [*self._sharpness, sharpness(frame.rgb)][-_USUAL_FRAMES:]
-        needed = _SMEARED * float(np.median(self._sharpness))
-        if self._sharpness[-1] >= needed:
+        sharp = sharpness(frame.rgb)
+        if np.isinf(sharp):  # blank, which is for others to say
             return None
-        return Rejection(RejectionReason.SMEARED, self._sharpness[-1], needed)
+        self._sharpness = [*self._sharpness, sharp][-_USUAL_FRAMES:]
+        needed = _SMEARED * float(np.median(self._sharpness))
+        return Rejection(RejectionReason.SMEARED, sharp, needed) if sharp < needed else None
 
     def _lost(self, rejection: Rejection) -> Rejection:
         for model in self._models:

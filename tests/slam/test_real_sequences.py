@@ -61,15 +61,36 @@ def test_every_frame_of_the_desk_is_tracked_across_the_gap_in_its_fast_turn(desk
 
 
 def test_the_drift_on_the_desk(desk):
-    assert desk.drift.odometry.ate_rmse_m <= 0.016
-    assert desk.drift.corrected.ate_rmse_m <= 0.014
-    assert desk.drift.corrected.rpe_translation_m <= 0.020
-    assert desk.drift.corrected.matched_share > 0.99 and desk.drift.coverage > 0.99
+    drift = desk.drift
+    assert drift.odometry.ate_rmse_m <= 0.0165
+    assert drift.live.ate_rmse_m <= 0.0150
+    assert drift.corrected.ate_rmse_m <= 0.0125
+    assert drift.corrected.rpe_translation_m <= 0.020
+    assert drift.corrected.matched_share > 0.99 and drift.coverage > 0.99
 
 
 def test_the_drift_on_xyz(xyz):
     assert len(xyz.result.untracked_s) == 0
     assert xyz.drift.corrected.ate_rmse_m <= 0.008
+
+
+@pytest.mark.parametrize("name", ["desk", "xyz"])
+def test_no_correction_makes_it_worse(name, request):
+    drift = request.getfixturevalue(name).drift
+    steps = (
+        (drift.odometry, drift.live),
+        (drift.odometry, drift.without_loops),
+        (drift.without_loops, drift.corrected),
+    )
+    for before, after in steps:
+        assert after.ate_rmse_m <= max(1.02 * before.ate_rmse_m, before.ate_rmse_m + 2e-4)
+
+
+@pytest.mark.parametrize("name", ["desk", "xyz"])
+def test_motions_are_as_far_off_as_they_say(name, request):
+    drift = request.getfixturevalue(name).drift
+    assert 3.0 < drift.median_links_nees < 9.0
+    assert 3.0 < drift.median_loops_nees < 9.0
 
 
 @pytest.mark.parametrize("name", ["desk", "xyz"])
