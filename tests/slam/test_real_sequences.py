@@ -90,7 +90,7 @@ def test_no_correction_makes_it_worse(name, request):
 def test_motions_are_as_far_off_as_they_say(name, request):
     drift = request.getfixturevalue(name).drift
     assert 3.0 < drift.median_links_nees < 9.0
-    assert 3.0 < drift.median_loops_nees < 9.0
+    assert 2.5 < drift.median_loops_nees < 10.0  # the fewer, the further off that may be
 
 
 @pytest.mark.parametrize("name", ["desk", "xyz"])

@@ -289,7 +289,7 @@ def test_an_image_is_recognized_by_all_keyframes_that_were_queued_before(keyfram
     behind = back_end(gate)
     gate.is_open.clear()
     for keyframe, rgb in keyframes:
-        behind.insert(keyframe, links(keyframe), rgb)
+        behind.insert(keyframe, links(keyframe), {}, rgb)
     asking = threading.Thread(target=lambda: found.append(behind.recognize(frames[1].rgb)))
     asking.start()
     asking.join(0.05)
@@ -297,7 +297,7 @@ def test_an_image_is_recognized_by_all_keyframes_that_were_queued_before(keyfram
     gate.is_open.set()
     asking.join(10.0)
     assert found == [[0, 1, 2, 3]]
-    assert len(behind.solve().T_world_kf) == 4
+    assert len(behind.solve({}).T_world_kf) == 4
 
 
 def test_after_a_failure_nothing_is_recognized_and_it_is_still_told(keyframes):
@@ -305,7 +305,7 @@ def test_after_a_failure_nothing_is_recognized_and_it_is_still_told(keyframes):
     gate.fails_at = 3
     behind = back_end(gate)
     for keyframe, rgb in keyframes:
-        behind.insert(keyframe, links(keyframe), rgb)
+        behind.insert(keyframe, links(keyframe), {}, rgb)
     assert behind.recognize(keyframes[0][1]) == []
     with pytest.raises(RecognizerError, match="NaN"):
         behind.settle()
@@ -316,8 +316,8 @@ def test_a_failure_to_recognize_is_told_at_once_and_does_no_harm(keyframes):
     gate.fails_at = 2
     behind = back_end(gate)
     first, rgb = keyframes[0]
-    behind.insert(first, (), rgb)
+    behind.insert(first, (), {}, rgb)
     with pytest.raises(RecognizerError, match="NaN"):
         behind.recognize(rgb)
     assert behind.recognize(rgb) == [0]
-    assert len(behind.solve().T_world_kf) == 1
+    assert len(behind.solve({}).T_world_kf) == 1
