@@ -16,9 +16,9 @@ from slam.types import Camera, Features, RelativePose
 _LENS_PX = 0.1  # what a calibration leaves of the lens
 # Rows of a rolling shutter are put where the camera's motion says. How fast it turned while they
 # were read is known to so many rad/s, and to this share of the turning.
-_TURNING_RAD_S, _TURNING_SHARE = 0.25, 0.4
+_TURNING_RAD_S, _TURNING_SHARE = 0.2, 0.5
 # Keyframes that share landmarks are bent by the same things, less than two views of a loop.
-_LINK_SHARE = 0.8
+_LINK_SHARE = 0.75
 # Several keyframes make a landmark, and pixels are not as noisy as robust matching takes them for.
 _LINK_INFORMATION = 4.0
 
