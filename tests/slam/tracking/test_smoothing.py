@@ -79,9 +79,27 @@ def half_shaky(times_s):
     return positions_m, turns_rad
 
 
+def turning_by_jerks(times_s):
+    """Go to and fro, 2 s each way, and turn by 90 degrees within 0.1 s at each end."""
+    positions_m, turns_rad = ahead(times_s, 0.0)
+    turns, since_s = np.divmod(times_s, 2.0)
+    positions_m[:, 0] = np.where(turns % 2, 2.0 - since_s, since_s)
+    turns_rad[:, 1] = (turns + np.clip((since_s - 1.9) / 0.1, 0.0, 1.0)) * np.pi / 2.0
+    return positions_m, turns_rad
+
+
+def shaken_ever_faster(times_s):
+    """Walk ever faster: 1 to 7 steps a second."""
+    positions_m, turns_rad = straight(times_s)
+    steps = times_s + 6.0 * times_s**2 / (2.0 * times_s[-1])
+    positions_m[:, 2] = swing(steps, 1.0, 0.02)
+    turns_rad[:, 0] = swing(steps, 1.0, np.radians(0.8))
+    return positions_m, turns_rad
+
+
 MOTIONS = (
     *(walking, running, robot, fast_robot, calm_hand, straight, standing, corner),
-    half_shaky,
+    *(half_shaky, turning_by_jerks, shaken_ever_faster),
 )
 
 
@@ -133,7 +151,7 @@ def test_no_motion_is_made_worse(motion, frames_per_s):
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_no_motion_is_made_worse_where_frames_are_missing_and_stamped_unevenly(motion):
     rng = np.random.default_rng(1)
-    times_s = np.arange(300) / 20.0
+    times_s = np.arange(300) / 15.0
     times_s = times_s[rng.uniform(size=300) > 0.2]
     truth = moved_by(motion, times_s + rng.uniform(-0.01, 0.01, len(times_s)))
     assert (share_left(truth, shaken(truth)) <= 1.02).all()
