@@ -33,17 +33,19 @@ from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd
 from slam.mapping.local_map import LocalMap
-from slam.tracking import tracked_frame
+from slam.tracking import odometry, tracked_frame
 from slam.tracking.odometry import RgbdOdometry
+from slam.tracking.trails import Trails
 
 # What a call is made of, and where; a part within a part counts as the outer one.
 PARTS: dict[str, tuple[Any, str]] = {
     "features": (FeatureExtractor, "extract"),
     "adjustment": (RgbdOdometry, "settle"),
     "placing": (RgbdOdometry, "_follow"),
-    "relocalization": (RgbdOdometry, "_relocalize"),
+    "relocalization": (Trails, "relocalize"),
+    "recognition": (Trails, "recognize"),
     "local map": (LocalMap, "insert"),
-    "links": (RgbdOdometry, "_links"),
+    "links": (odometry, "covisible_links"),
     "preview": (tracked_frame, "preview"),
     "waiting for loops": (BackEnd, "insert"),
 }

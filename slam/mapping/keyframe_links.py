@@ -1,15 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion between two keyframes of the map, as the landmarks that both see hold it."""
+"""The motions between keyframes of the map, as the landmarks that both see hold them."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from slam.geometry import se3
+from slam.geometry.motion_noise import link_noise, typical_depth_m
 from slam.geometry.reprojection import robust_weights
 from slam.mapping.landmark_map import LandmarkMap
-from slam.types import FloatArray, IntArray, RelativePose
+from slam.types import FloatArray, IntArray, Keyframe, Link, RelativePose
 
 _MIN_SHARED = 10  # landmarks; fewer do not hold a motion in all directions
 _NO_DEPTH = 1e-3  # of information, m^-2: along a ray that no depth was measured on
+
+
+def covisible_links(
+    the_map: LandmarkMap, new: Keyframe, covisible: Sequence[Keyframe], hessian: FloatArray
+) -> tuple[Link, ...]:
+    """Return the motions of a new keyframe to others, which share most with it first.
+
+    At least one is returned: where none of them sees enough, the new keyframe was placed by
+    landmarks of several, and the (6, 6) Hessian of its pose has to do.
+    """
+
+    def link(ref: Keyframe, motion: RelativePose) -> Link:
+        depth_m = typical_depth_m(ref.features, new.features)
+        turning = (ref.turning_rad_s, new.turning_rad_s)
+        return Link(ref.id, new.id, link_noise(motion, the_map.camera, depth_m, *turning))
+
+    motions = [(ref, motion_between(the_map, ref.id, new.id)) for ref in covisible]
+    links = tuple(link(ref, motion) for ref, motion in motions if motion)
+    if links:
+        return links
+    T_map_ref, T_map_new = (the_map.keyframes[k.id].T_map_cam for k in (covisible[0], new))
+    return (link(covisible[0], RelativePose(se3.inverse(T_map_ref) @ T_map_new, hessian)),)
 
 
 def motion_between(the_map: LandmarkMap, ref_id: int, query_id: int) -> RelativePose | None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a view was taken: landmarks are looked for in it, and the pose follows from them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,10 +10,19 @@ import numpy as np
 from slam.config import VerificationConfig
 from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.refinement import refine_pose
-from slam.geometry.relative_pose import pose_by_ransac
+from slam.geometry.relative_pose import estimate_relative_pose, pose_by_ransac
 from slam.geometry.reprojection import Observations
 from slam.mapping.landmark_map import LandmarkMap
-from slam.types import Camera, Features, FloatArray, Frame, IntArray, Rejection, RejectionReason
+from slam.types import (
+    Camera,
+    Features,
+    FloatArray,
+    Frame,
+    IntArray,
+    Keyframe,
+    Rejection,
+    RejectionReason,
+)
 
 _RADIUS_PX = 4.0  # how far from its place a landmark is looked for once the pose is known
 
@@ -101,3 +111,24 @@ def refined_pose(
     if inliers < config.min_inliers:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
     return FramePose(refined.T_world_cam, pairs[refined.inlier_mask], refined.hessian)
+
+
+def pose_by_keyframes(
+    the_map: LandmarkMap, view: View, keyframes: Sequence[Keyframe], config: VerificationConfig
+) -> FramePose | Rejection:
+    """Compare the view with all features of keyframes, wherever it may be, until one fits."""
+    rejections = []
+    for keyframe in keyframes:
+        outcome = estimate_relative_pose(
+            keyframe.features, view.features, the_map.camera, config
+        ).outcome
+        if isinstance(outcome, Rejection):
+            rejections.append(outcome)
+            continue
+        T_map_cam = the_map.keyframes[keyframe.id].T_map_cam @ outcome.T_ref_query
+        seen_ids = the_map.seen_by([keyframe.id])
+        frame_pose = track_local_map(the_map, view, T_map_cam, seen_ids, config)
+        if isinstance(frame_pose, FramePose):
+            return frame_pose
+        rejections.append(frame_pose)
+    return rejections[0]

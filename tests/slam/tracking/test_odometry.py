@@ -9,6 +9,7 @@ from slam.config import Config, OdometryConfig
 from slam.geometry import se3
 from slam.geometry.motion_noise import translation_sigma_m
 from slam.tracking.odometry import RgbdOdometry, TrackedFrame
+from slam.tracking.trails import Trails
 from slam.types import Camera, Frame, Rejection, RejectionReason
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -145,13 +146,13 @@ def test_a_frame_that_follows_is_looked_for_nowhere_else_and_one_after_a_pause_e
     frames, monkeypatch
 ):
     tracker, asked = RgbdOdometry(CAMERA, Config()), []
-    for name in ("_follow", "_relocalize"):
-        monkeypatch.setattr(RgbdOdometry, name, _noting(getattr(RgbdOdometry, name), asked))
+    for owner, name in ((RgbdOdometry, "_follow"), (Trails, "relocalize")):
+        monkeypatch.setattr(owner, name, _noting(getattr(owner, name), asked))
     tracker.track(frames[0])
     tracker.track(frames[1])
     assert asked == ["_follow"]
     tracker.track(replace(frames[2], timestamp_s=frames[1].timestamp_s + 5.0))
-    assert asked == ["_follow", "_relocalize"]
+    assert asked == ["_follow", "relocalize"]
 
 
 def _noting(method, names):
@@ -166,7 +167,8 @@ def test_it_is_told_why_the_landmarks_around_do_not_fit(frames, monkeypatch):
     tracker = RgbdOdometry(CAMERA, Config())
     tracker.track(frames[0])
     refusal = Rejection(RejectionReason.FEW_INLIERS, 3, 15)
-    monkeypatch.setattr("slam.tracking.odometry.track_local_map", lambda *_: refusal)
+    for module in ("odometry", "frame_pose"):
+        monkeypatch.setattr(f"slam.tracking.{module}.track_local_map", lambda *_: refusal)
     monkeypatch.setattr(tracker, "_worth_a_segment", np.inf)
     assert tracker.track(frames[1]) == refusal
 
