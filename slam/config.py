@@ -84,7 +84,7 @@ class OdometryConfig(_Section):
     keyframe_inlier_share: _Fraction = 0.35
     """A new keyframe starts when fewer than this share of the keyframe's features is tracked."""
     links: Annotated[int, Field(ge=0)] = 4
-    """Earlier keyframes that a new one is tied to by geometry (co-visibility), besides the last."""
+    """Keyframes that a new one is tied to by what both see, besides the one that shares most."""
 
 
 class LoopConfig(_Section):

@@ -33,17 +33,6 @@ def estimate_relative_pose(
     of the matches alone; `loop_noise` adds what the camera's model leaves out.
     """
     pairs = match(reference, query, config.max_descriptor_distance)
-    return measure_relative_pose(reference, query, pairs, camera, config)
-
-
-def measure_relative_pose(
-    reference: Features,
-    query: Features,
-    pairs: NDArray[np.int64],
-    camera: Camera,
-    config: VerificationConfig,
-) -> Verification:
-    """Return the same from (M, 2) index pairs of features that are already matched."""
     has_depth = np.isfinite(reference.depth_m[pairs[:, 0]])
     is_placed = np.isfinite(reference.points_m[pairs[:, 0], 0])
     # Depth of one's own is the better one, and RANSAC's luck the rarer the more matches there are:

@@ -116,16 +116,14 @@ class LoopCloser:
         if similarity < self.min_similarity:
             rejection = Rejection(RejectionReason.LOW_SIMILARITY, similarity, self.min_similarity)
             return LoopAttempt(query.id, match.id, similarity, None, rejection)
-        verification = estimate_relative_pose(
-            match.features, query.features, self._camera, self._verification_config
-        )
+        config = self._verification_config
+        verification = estimate_relative_pose(match.features, query.features, self._camera, config)
         outcome = verification.outcome
         if isinstance(outcome, RelativePose):
             depth_m = typical_depth_m(match.features, query.features)
             turning = (match.turning_rad_s, query.turning_rad_s)
             outcome = loop_noise(outcome, self._camera, depth_m, *turning)
-            share, limit = translation_sigma_m(outcome) / depth_m, self._verification_config
-            if share > limit.max_uncertainty:
-                reason = RejectionReason.UNCERTAIN_MOTION
-                outcome = Rejection(reason, share, limit.max_uncertainty)
+            share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
+            if share > most:
+                outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, share, most)
         return LoopAttempt(query.id, match.id, similarity, verification, outcome)

@@ -213,7 +213,6 @@ def _damped(blocks: FloatArray, damping: float) -> FloatArray:
 
 
 def _moved(bundle: Bundle, step_cam: FloatArray, step_point: FloatArray) -> Bundle:
-    T_world_cam = bundle.T_world_cam.copy()
-    for k in np.flatnonzero(~bundle.is_fixed):
-        T_world_cam[k] = T_world_cam[k] @ se3.exp(step_cam[k])
+    T_world_cam, free = bundle.T_world_cam.copy(), ~bundle.is_fixed
+    T_world_cam[free] = T_world_cam[free] @ se3.exp(step_cam[free])
     return replace(bundle, T_world_cam=T_world_cam, points_m=bundle.points_m + step_point)

@@ -183,7 +183,7 @@ def _without_swings(
 
 def _quaternions(rotations: FloatArray) -> FloatArray:
     """Return the (N, 4) quaternions of rotations, each of the two that is nearer the one before."""
-    quaternions = np.array([se3.to_quaternion(rotation) for rotation in rotations])
+    quaternions = se3.to_quaternion(rotations)
     turns_over = np.einsum("nd,nd->n", quaternions[1:], quaternions[:-1]) < 0.0
     signs = np.cumprod(np.where(turns_over, -1.0, 1.0))
     return np.concatenate([quaternions[:1], quaternions[1:] * signs[:, None]])

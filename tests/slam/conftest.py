@@ -14,6 +14,7 @@ from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
 from slam.demo import render_sequence
+from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
 from slam.geometry.features import back_project
 from slam.result import SlamResult
@@ -69,6 +70,23 @@ def T_first_cam(sequence: Sequence) -> FloatArray:
     assert sequence.ground_truth is not None
     T_truth_cam = sequence.ground_truth.T_world_cam
     return se3.inverse(T_truth_cam[0]) @ T_truth_cam
+
+
+@pytest.fixture(scope="session")
+def assert_no_correction_hurts() -> Callable[[DriftReport], None]:
+    """Return a check that what came later is no worse than what came before: 2 % or 0.2 mm."""
+
+    def check(drift: DriftReport) -> None:
+        assert drift.live is not None
+        steps = (
+            (drift.odometry, drift.live),
+            (drift.odometry, drift.without_loops),
+            (drift.without_loops, drift.corrected),
+        )
+        for before, after in steps:
+            assert after.ate_rmse_m <= max(1.02 * before.ate_rmse_m, before.ate_rmse_m + 2e-4)
+
+    return check
 
 
 @pytest.fixture(scope="session")
