@@ -90,8 +90,8 @@ class OdometryConfig(_Section):
 class LoopConfig(_Section):
     """Which earlier keyframes are looked at as the same place."""
 
-    min_gap_s: PositiveFloat = 3.0
-    """Keyframes closer in time than this are not loop candidates."""
+    min_gap: PositiveInt = 5
+    """A keyframe and so many before it in its segment are not candidates of each other."""
     candidates: PositiveInt = 4
     """Most similar keyframes verified by geometry, per new keyframe."""
     min_similarity: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None

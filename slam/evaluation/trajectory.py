@@ -47,14 +47,12 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     Raises:
         LoopcloseError: the file cannot be written.
     """
+    quaternions = se3.to_quaternion(trajectory.T_world_cam[:, :3, :3])
+    # Adding 0.0 turns a rounded -0.0 into 0.0.
+    poses = np.round(np.hstack([trajectory.T_world_cam[:, :3, 3], quaternions]), 9) + 0.0
     lines = [f"# {POSE_COLUMNS}"]
-    for timestamp_s, T_world_cam in zip(
-        trajectory.timestamps_s, trajectory.T_world_cam, strict=True
-    ):
-        quaternion = se3.to_quaternion(T_world_cam[:3, :3])
-        # Adding 0.0 turns a rounded -0.0 into 0.0.
-        values = np.round(np.concatenate([T_world_cam[:3, 3], quaternion]), 9) + 0.0
-        lines.append(" ".join([f"{timestamp_s:.6f}", *(f"{value:.9f}" for value in values)]))
+    for timestamp_s, pose in zip(trajectory.timestamps_s, poses.tolist(), strict=True):
+        lines.append(" ".join([f"{timestamp_s:.6f}", *(f"{value:.9f}" for value in pose)]))
     write_atomically(path, "\n".join(lines) + "\n")
 
 

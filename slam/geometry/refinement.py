@@ -16,9 +16,8 @@ from slam.geometry import se3
 from slam.geometry.reprojection import Observations, robust_weights
 from slam.types import Camera, Features, FloatArray
 
-_ROUNDS = 3  # each decides anew who agrees
 # At most so many steps, and none after one whose norm, of this order, is less than that.
-_POSE_STEPS = (4, 1e-5, np.inf)
+_POSE_STEPS = (4, 1e-4, np.inf)
 _MOTION_STEPS = (8, 1e-6, 2)
 
 _NormalEquations = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -53,14 +52,18 @@ class RefinedPose:
 
 
 def refine_pose(
-    T_world_cam: FloatArray, points_m: FloatArray, measured: Observations, camera: Camera
+    T_world_cam: FloatArray,
+    points_m: FloatArray,
+    measured: Observations,
+    camera: Camera,
+    rounds: int = 2,
 ) -> RefinedPose:
     """Return the pose from which (M, 3) world points look most as they were measured.
 
-    A point counts in one round if it agreed after the one before; in the first all do.
+    A point counts in one of the rounds if it agreed after the one before; in the first all do.
     """
     inlier_mask = np.ones(len(points_m), dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         seen = measured.select(inlier_mask)
         equations = partial(_pose_equations, points_m[inlier_mask], seen, camera)
         T_world_cam, hessian = _gauss_newton(T_world_cam, equations, *_POSE_STEPS)
@@ -73,12 +76,11 @@ def _pose_equations(
     points_m: FloatArray, measured: Observations, camera: Camera, T_world_cam: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
-    residuals, by_point = measured.residuals(points_cam_m, camera)
-    # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
-    J = np.concatenate([by_point @ se3.skew(points_cam_m), -by_point], axis=2)
-    hessian, gradient = _weighted(residuals, J)
+    residuals, J = measured.residuals_by_pose(points_cam_m, camera)
+    weighted_J = robust_weights(residuals.T).T.reshape(-1) * J.reshape(6, -1)
     # A trace of curvature keeps the step finite where few points leave a direction open.
-    return hessian + 1e-6 * np.eye(6), gradient
+    hessian = weighted_J @ J.reshape(6, -1).T + 1e-6 * np.eye(6)
+    return hessian, weighted_J @ residuals.ravel()
 
 
 @dataclass(frozen=True)

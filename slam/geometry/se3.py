@@ -11,6 +11,7 @@ import numpy as np
 from slam.types import FloatArray
 
 _SMALL_ANGLE_RAD = 1e-8
+_EYE = np.eye(3)
 
 
 def from_rotation_translation(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
@@ -38,7 +39,7 @@ def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
 
 def skew(v: FloatArray) -> FloatArray:
     """Return the (..., 3, 3) matrices of the cross product with (..., 3) vectors."""
-    x, y, z = np.moveaxis(v, -1, 0)
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
     matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
@@ -48,17 +49,16 @@ def skew(v: FloatArray) -> FloatArray:
 def exp(tangent: FloatArray) -> FloatArray:
     """Return the (..., 4, 4) transforms of (..., 6) tangents [rotation rad; translation m]."""
     omega, v = tangent[..., :3], tangent[..., 3:]
-    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
+    squared = (omega * omega).sum(axis=-1)[..., None, None]
+    half_turns = np.sqrt(squared) / np.pi
     W = skew(omega)
-    # Both series' first terms are all that is left of them where the angle is small.
-    is_small = angle < _SMALL_ANGLE_RAD
-    safe = np.where(is_small, 1.0, angle)
-    a = np.where(is_small, 1.0, np.sin(safe) / safe)
-    b = np.where(is_small, 0.5, 2.0 * np.sin(0.5 * safe) ** 2 / safe**2)  # without cancellation
-    c = np.where(is_small, 0.0, (safe - np.sin(safe)) / safe**3)
+    WW = W @ W
+    a = np.sinc(half_turns)  # sin x / x
+    b = 0.5 * np.sinc(0.5 * half_turns) ** 2  # (1 - cos x) / x^2, without cancellation
+    c = (1.0 - a) / np.maximum(squared, _SMALL_ANGLE_RAD**2)
     T_a_b = np.zeros((*tangent.shape[:-1], 4, 4))
-    T_a_b[..., :3, :3] = np.eye(3) + a * W + b * W @ W
-    T_a_b[..., :3, 3] = ((np.eye(3) + b * W + c * W @ W) @ v[..., None])[..., 0]
+    T_a_b[..., :3, :3] = _EYE + a * W + b * WW
+    T_a_b[..., :3, 3] = ((_EYE + b * W + c * WW) @ v[..., None])[..., 0]
     T_a_b[..., 3, 3] = 1.0
     return T_a_b
 

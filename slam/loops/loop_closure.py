@@ -58,8 +58,7 @@ class LoopCloser:
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        latest_s = keyframe.timestamp_s - self._loop_config.min_gap_s
-        old_enough = sum(each.timestamp_s <= latest_s for each in self._keyframes)
+        old_enough = len(self._keyframes) + 1 - self._loop_config.min_gap
         is_other = np.array([each.segment != keyframe.segment for each in self._keyframes], bool)
         numbers = np.arange(len(is_other))
         is_candidate = is_other | ((numbers < old_enough) & ~np.isin(numbers, linked_ids))

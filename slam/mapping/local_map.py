@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from slam.config import Config
+from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import AdjustmentProblem, adjusted, extract_problem, write_back
@@ -14,6 +15,9 @@ from slam.types import Camera, Features, FloatArray, IntArray
 _WINDOW = 10  # keyframes that are adjusted together when a new one enters
 _OUTER = 10  # further ones that see the same landmarks and hold the window in place
 _ROUNDS = (3, 5)  # steps of the adjustment, before and after what does not fit is dropped
+# An adjustment takes about as long as so many frames. They are placed against what it moves: the
+# more they are, the less they fit to it afterwards.
+_FRAMES_BESIDE = 3
 _FUSE_RADIUS_PX = 3.0
 _TRIANGULATED_WITH = 3  # keyframes that are asked what they saw of features without depth
 _TRIAL_KEYFRAMES = 3  # a feature that no other of so many keyframes shows was no landmark
@@ -22,9 +26,9 @@ _TRIAL_KEYFRAMES = 3  # a feature that no other of so many keyframes shows was n
 class LocalMap:
     """A map that grows by keyframes, and the landmarks around the last of them.
 
-    The keyframes around a new one are adjusted in a thread of its own, and always put back before
-    the map is looked at again: the next frame comes later anyway, and what comes out does not
-    depend on who was faster.
+    The keyframes around a new one are adjusted in a thread of its own, and put back a number of
+    frames later, before the next keyframe in any case: tracking seldom has to wait, and what comes
+    out does not depend on who was faster.
 
     Attributes:
         whole: all keyframes and landmarks, odometry frame.
@@ -40,15 +44,15 @@ class LocalMap:
         self._window: list[int] = []
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="adjustment")
         self._underway: Future[AdjustmentProblem] | None = None
+        self._frames_left = 0
 
     def insert(
         self, features: Features, grid: FeatureGrid, T_odom_cam: FloatArray, pairs: IntArray
     ) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id.
 
-        It stays where it is put until the map is settled.
+        The map has to be settled. The keyframe stays where it is put until it is settled again.
         """
-        self.settle()
         newest = self.whole.add_keyframe(features, grid, T_odom_cam, pairs)
         covisible = self.whole.covisible_keyframes(pairs[:, 0])
         neighbours = [k for k in covisible if k != newest][: _WINDOW - 1]
@@ -70,13 +74,23 @@ class LocalMap:
         origins = [k for k in self._window if k in self._origins]
         problem = extract_problem(self.whole, free, [*outer, *origins])
         self._underway = self._thread.submit(adjusted, problem, self.whole.camera, _ROUNDS)
+        self._frames_left = _FRAMES_BESIDE
+        self.nearby_ids = self.whole.seen_by(self._window)
         return newest
 
-    def settle(self) -> list[int]:
-        """Put the keyframes where they were adjusted to and return their ids, none if none were."""
+    def next_frame(self) -> dict[int, FloatArray]:
+        """Settle if that is due by now, so many frames after a keyframe; return the same."""
+        self._frames_left -= 1
+        return {} if self._frames_left > 0 else self.settle()
+
+    def settle(self) -> dict[int, FloatArray]:
+        """Put keyframes where they were adjusted to; return (4, 4) T_new_old by id, if any were."""
         underway, self._underway = self._underway, None
         if underway is None:
-            return []
+            return {}
+        keyframes = [self.whole.keyframes[k] for k in self._window]
+        T_old_map = [se3.inverse(each.T_map_cam) for each in keyframes]
         write_back(self.whole, underway.result())
         self.nearby_ids = self.whole.seen_by(self._window)
-        return self._window
+        moved = [new.T_map_cam @ old for new, old in zip(keyframes, T_old_map, strict=True)]
+        return dict(zip(self._window, moved, strict=True))

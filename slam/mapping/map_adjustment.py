@@ -100,7 +100,7 @@ def write_back(the_map: LandmarkMap, problem: AdjustmentProblem) -> None:
 # so many covisible keyframes are searched along.
 _LOOP_RADIUS_PX, _LOOP_COVISIBLE = 8.0, 5
 _ADJUSTED_RADIUS_PX, _ADJUSTED_COVISIBLE = 3.0, 15
-_ROUNDS = (5, 5, 10)
+_ROUNDS = (5, 5)
 
 MOST_KEYFRAMES = 500
 """What is adjusted at once. The work grows with the square of how often a place is seen again, and

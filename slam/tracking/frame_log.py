@@ -2,12 +2,14 @@
 """Every frame and the keyframe it was placed against: it is corrected when the keyframe is."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.geometry import se3
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
 
@@ -59,6 +61,23 @@ class _LoggedFrame(NamedTuple):
     newest_id: int  # the newest keyframe then
 
 
+def _is_one_walk(first: _LoggedFrame, last: _LoggedFrame, end: _LoggedFrame) -> bool:
+    """Return whether the camera was followed from a keyframe to the next one, the end."""
+    return first.keyframe_id == last.keyframe_id and first.segment == end.segment
+
+
+def _shared_bend(frames: Sequence[_LoggedFrame], T_any_kf: FloatArray) -> FloatArray:
+    """Return (N - 2, 4, 4), the frames after a keyframe, bent towards the last, the next one."""
+    last, end = frames[-2:]
+    T_kf_end = last.T_kf_cam @ se3.inverse(last.T_odom_cam) @ end.T_odom_cam
+    bend = se3.log(se3.inverse(T_any_kf[last.keyframe_id] @ T_kf_end) @ T_any_kf[end.keyframe_id])
+    times_s = np.array([each.timestamp_s for each in frames])
+    share = (times_s - times_s[0]) / (times_s[-1] - times_s[0])
+    T_end_cam = [se3.inverse(T_kf_end) @ each.T_kf_cam for each in frames[1:-1]]
+    bent = T_any_kf[last.keyframe_id] @ T_kf_end @ se3.exp(share[1:-1, None] * bend)
+    return np.asarray(bent @ np.array(T_end_cam).reshape(-1, 4, 4))
+
+
 class FrameLog:
     """Every frame of a run: placed against a keyframe, or lost."""
 
@@ -96,12 +115,20 @@ class FrameLog:
         return Counter(frame.keyframe_id for frame in self._frames)
 
     def trajectory(self, T_any_kf: FloatArray) -> Trajectory:
-        """Return the frames whose keyframe is among (K, 4, 4) poses and not NaN there."""
+        """Return the frames whose keyframe is among (K, 4, 4) poses and not NaN there.
+
+        Where the poses bend the motion from one keyframe to the next, the frames between them share
+        the bend in proportion to time.
+        """
         frames = self._on(np.isfinite(T_any_kf[:, 0, 0]))
-        return Trajectory(
-            timestamps_s=np.array([frame.timestamp_s for frame in frames]),
-            T_world_cam=np.array([T_any_kf[each.keyframe_id] @ each.T_kf_cam for each in frames]),
-        )
+        T_any_cam = np.array([T_any_kf[each.keyframe_id] @ each.T_kf_cam for each in frames])
+        ends = [n for n, each in enumerate(frames) if n and each.newest_id == each.keyframe_id]
+        ends = [n for n in ends if frames[n - 1].newest_id != frames[n].newest_id]
+        for start, end in pairwise([0, *ends]):
+            if _is_one_walk(frames[start], frames[end - 1], frames[end]):
+                between = slice(start + 1, end)
+                T_any_cam[between] = _shared_bend(frames[start : end + 1], T_any_kf)
+        return Trajectory(np.array([frame.timestamp_s for frame in frames]), T_any_cam)
 
     def live(
         self, T_any_kf: FloatArray, T_any_segment: Callable[[int, int], FloatArray | None]

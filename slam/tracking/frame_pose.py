@@ -81,7 +81,8 @@ def agreed_pose(
     if inliers < config.min_inliers:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
     measured = Observations.of(view.features, pairs[inlier_mask, 1], the_map.camera)
-    return refine_pose(T_map_cam, points_m[inlier_mask], measured, the_map.camera).T_world_cam
+    points_m = points_m[inlier_mask]
+    return refine_pose(T_map_cam, points_m, measured, the_map.camera, rounds=1).T_world_cam
 
 
 def track_local_map(

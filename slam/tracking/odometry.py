@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -83,7 +84,7 @@ class RgbdOdometry:
             RecognizerError: whoever was asked to recognize the frame failed.
         """
         seen = self._extractor.extract(frame)
-        self.settle()
+        self._move(self._local_map.next_frame())
         if not self._trails:
             return self._start(View(frame, seen, self._camera))
         velocity = self._trails.followed.velocity(
@@ -121,24 +122,23 @@ class RgbdOdometry:
             return view, frame_pose
         velocity = self._trails.followed.velocity_to(view.frame.timestamp_s, T_map_cam, readout_s)
         again = replace(view, features=straightened(seen, self._camera, velocity))
-        refined = refined_pose(
-            self.map, again, T_map_cam, frame_pose.pairs, self._trails.following_config
-        )
+        config = self._trails.following_config
+        refined = refined_pose(self.map, again, T_map_cam, frame_pose.pairs, config)
         return (again, refined) if isinstance(refined, FramePose) else (view, frame_pose)
 
     def settle(self) -> None:
         """Adjust the map to the last keyframe, and go on from where that puts it."""
-        if adjusted := self._local_map.settle():
-            self._moved.update(adjusted)
-            model = self._trails.followed
-            last_id = model.recent[-1].id
-            model.T_odom_last = self.map.keyframes[last_id].T_map_cam
-            model.last_ids = self.map.seen_by([last_id])
+        self._move(self._local_map.settle())
+
+    def _move(self, T_new_old: Mapping[int, FloatArray]) -> None:
+        self._moved.update(T_new_old)
+        self._trails.move(T_new_old)
 
     def _start(self, view: View) -> TrackedFrame | Rejection:
         """Begin a segment whose origin is the view."""
         if view.with_depth < (needed := self._trails.following_config.min_matches):
             return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
+        self.settle()
         was_lost = bool(self._trails)
         last_s = view.frame.timestamp_s
         self._trails.begin(MotionModel(self._segments, was_lost=was_lost, last_s=last_s))
@@ -185,11 +185,24 @@ class RgbdOdometry:
         T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ frame_pose.T_map_cam
         if not self._needs_keyframe(frame_pose, T_kf_cam):
             return self._placed(reference, T_kf_cam)
+        if moved := self._local_map.settle():
+            self._move(moved)
+            frame_pose = self._placed_again(view, frame_pose)
         keyframe = self._insert(view, frame_pose, turning_rad_s)
         covisible = self._trails.covisible(keyframe.id, frame_pose.pairs[:, 0])
         most = covisible[: 1 + self._config.links]
         links = covisible_links(self.map, keyframe, most, frame_pose.hessian)
         return self._placed(keyframe, np.eye(4), keyframe, links)
+
+    def _placed_again(self, view: View, frame_pose: FramePose) -> FramePose:
+        """Return the last pose as the map, which has moved since, has it."""
+        T_map_cam = self._trails.followed.T_odom_last
+        config = self._trails.following_config
+        again = refined_pose(self.map, view, T_map_cam, frame_pose.pairs, config)
+        if isinstance(again, Rejection):
+            return replace(frame_pose, T_map_cam=T_map_cam)
+        self._trails.followed.T_odom_last = again.T_map_cam
+        return again
 
     def _placed(
         self,
@@ -224,6 +237,7 @@ class RgbdOdometry:
         model, T_map_cam = self._trails.followed, frame_pose.T_map_cam
         new_id = self._local_map.insert(view.features, view.grid, T_map_cam, frame_pose.pairs)
         self._near = model
+        model.last_ids = self.map.seen_by([new_id])
         features = self.map.placed_features(new_id)
         keyframe = new_keyframe(
             new_id, view.frame, features, T_map_cam, turning_rad_s, model.segment

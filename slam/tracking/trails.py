@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a camera was last, and where a lost one is found again."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from slam.config import Config
 from slam.mapping.landmark_map import LandmarkMap
 from slam.tracking.frame_pose import FramePose, View, pose_by_keyframes
 from slam.tracking.motion_model import MotionModel
-from slam.types import Keyframe, Rejection
+from slam.types import FloatArray, Keyframe, Rejection
 
 Recognize = Callable[[NDArray[np.uint8], int | None], Sequence[int]]
 """Tells which keyframes look like a (H, W, 3) RGB image, those of a named segment left out."""
@@ -64,6 +64,12 @@ class Trails:
         model = self.followed
         model.most_shared = 0
         model.recent = [*model.recent, keyframe][-1 - self._links :]
+
+    def move(self, T_new_old: Mapping[int, FloatArray]) -> None:
+        """Move what was last seen from keyframes, by id, with (4, 4) motions in the map's frame."""
+        for model in self._models:
+            if (T := T_new_old.get(model.recent[-1].id)) is not None:
+                model.T_odom_last = T @ model.T_odom_last
 
     def miss(self) -> None:
         """Note that a frame was nowhere."""

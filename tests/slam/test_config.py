@@ -40,7 +40,7 @@ def test_settings_of_the_file_replace_the_defaults(tmp_path):
         Config(),
         Config(
             input=InputConfig(camera=Path('my "own"\\camera.toml'), depth_scale=1000.0),
-            loop=LoopConfig(min_similarity=-0.25, min_gap_s=1e-7),
+            loop=LoopConfig(min_similarity=-0.25, min_gap=1),
             map=MapConfig(write=False),
         ),
     ],
@@ -83,7 +83,7 @@ def test_an_unknown_setting_is_named(tmp_path, name):
         ("verification.min_inlier_ratio", "1.5", "less than or equal to 1"),
         ("verification.max_descriptor_distance", "2.5", "integer"),
         ("features.levels", '"many"', "integer"),
-        ("loop.min_gap_s", "inf", "finite"),
+        ("map.voxel_m", "inf", "finite"),
         ("graph.inlier_probability", "1.0", "less than 1"),
     ],
 )

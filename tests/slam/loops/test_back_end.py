@@ -80,7 +80,7 @@ def test_who_inserts_does_not_wait_for_the_answer(keyframes):
 
 def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
     clock = StageClock()
-    behind = BackEnd(CAMERA, Gate(), Config(loop=LoopConfig(min_gap_s=4.0)), clock)
+    behind = BackEnd(CAMERA, Gate(), Config(loop=LoopConfig(min_gap=2)), clock)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)
     solved = behind.solve({})
@@ -94,7 +94,7 @@ def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
 
 
 def test_a_keyframe_closes_no_loop_with_one_that_it_is_linked_to(keyframes):
-    behind = back_end(Gate(), min_gap_s=4.0)
+    behind = back_end(Gate(), min_gap=2)
     motion = RelativePose(np.eye(4), INFORMATION)
     for keyframe, rgb in keyframes[:3]:
         known = [Link(k, keyframe.id, motion) for k in reversed(range(keyframe.id))]
@@ -103,7 +103,7 @@ def test_a_keyframe_closes_no_loop_with_one_that_it_is_linked_to(keyframes):
 
 
 def test_loops_that_lost_are_not_trusted(keyframes):
-    behind = back_end(Gate(), min_gap_s=4.0)
+    behind = back_end(Gate(), min_gap=2)
     for keyframe, rgb in keyframes[:3]:
         far = np.eye(4)
         far[0, 3] = 2.0 * keyframe.id
@@ -121,7 +121,7 @@ def test_loops_that_lost_are_not_trusted(keyframes):
 def test_a_segment_that_loops_at_one_place_tie_is_of_no_use_and_a_second_makes_it_one(
     keyframes, frames, T_first_cam
 ):
-    behind = back_end(Gate(), min_gap_s=4.0)
+    behind = back_end(Gate(), min_gap=2)
     (here, rgb), other_rgb = keyframes[0], frames[24].rgb
     features = FeatureExtractor(CAMERA, Config().features).extract(frames[24])
     elsewhere = replace(here, features=features, T_odom_cam=T_first_cam[24])
@@ -155,7 +155,7 @@ def drifting(keyframes):
 
 
 def test_corrections_come_by_themselves_one_after_the_other(keyframes):
-    behind = back_end(Gate(), min_gap_s=4.0)
+    behind = back_end(Gate(), min_gap=2)
     assert not behind.corrections[-1].T_world_odom
     for keyframe, tie, rgb in drifting(keyframes):
         behind.insert(keyframe, tie, {}, rgb)
@@ -183,7 +183,7 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
         return solve_beside(graph, probability)
 
     monkeypatch.setattr("slam.loops.back_end.solve_beside", slow)
-    behind = back_end(Gate(), min_gap_s=4.0)
+    behind = back_end(Gate(), min_gap=2)
     for keyframe, tie, rgb in drifting(keyframes):
         behind.insert(keyframe, tie, {}, rgb)
     behind.settle()  # all keyframes are taken in, although no correction is solved yet
@@ -194,7 +194,7 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
 
 
 def test_links_follow_the_odometry_that_moves_its_keyframes(keyframes):
-    behind = back_end(Gate(), min_gap_s=100.0)
+    behind = back_end(Gate(), min_gap=100)
     moved = se3.exp(np.array([0.0, 0.1, 0.0, 0.3, 0.0, 0.0]))
     for keyframe, rgb in keyframes[:3]:
         behind.insert(keyframe, links(keyframe), {1: moved} if keyframe.id == 2 else {}, rgb)
@@ -259,7 +259,7 @@ class Torn(Gate):
 
 
 def test_after_a_failure_to_compare_nothing_is_taken_in_either(keyframes):
-    behind = back_end(Torn(), min_gap_s=4.0)
+    behind = back_end(Torn(), min_gap=2)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)
     with pytest.raises(RecognizerError, match="cannot compare"):

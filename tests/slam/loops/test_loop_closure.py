@@ -41,7 +41,7 @@ def closer(recognizer=None, *, camera=None, verification=None, **loop):
     return LoopCloser(
         camera,
         recognizer or Scripted(),
-        LoopConfig(**loop),
+        LoopConfig(**{"min_gap": 1, **loop}),
         verification or VerificationConfig(),
     )
 
@@ -106,14 +106,14 @@ def test_a_recognizer_that_compares_its_embeddings_itself_is_asked(views):
 
 
 def test_a_camera_that_stood_still_closes_no_loop_with_what_it_is_linked_to(views):
-    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    loop_closer = closer(camera=views.camera, min_gap=3, candidates=10)
     run(loop_closer, views, [0] * 4, step_s=10.0)
     new = keyframe(4, views.reference, 40.0)
     assert pairs(loop_closer.close(new, direction(0), linked_ids=[3, 2])) == [(4, 0), (4, 1)]
 
 
-def test_only_keyframes_outside_the_time_window_are_looked_at(views):
-    attempts = run(closer(camera=views.camera, min_gap_s=3.0, candidates=10), views, [0] * 6)
+def test_only_keyframes_outside_the_window_are_looked_at(views):
+    attempts = run(closer(camera=views.camera, min_gap=3, candidates=10), views, [0] * 6)
     assert [pairs(each) for each in attempts] == [
         [],
         [],
@@ -122,7 +122,7 @@ def test_only_keyframes_outside_the_time_window_are_looked_at(views):
         [(4, 0), (4, 1)],
         [(5, 0), (5, 1), (5, 2)],
     ]
-    attempts = run(closer(camera=views.camera, min_gap_s=3.1, candidates=10), views, [0] * 5)
+    attempts = run(closer(camera=views.camera, min_gap=4, candidates=10), views, [0] * 5)
     assert [pairs(each) for each in attempts] == [[], [], [], [], [(4, 0)]]
 
 
@@ -135,7 +135,7 @@ def close_all(loop_closer, views, segments):
 
 
 def test_all_keyframes_of_other_segments_are_looked_at_however_new(views):
-    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=10)
+    loop_closer = closer(camera=views.camera, min_gap=3, candidates=10)
     attempts = close_all(loop_closer, views, [0, 0, 1, 1, 0, 2])
     assert [pairs(each) for each in attempts] == [
         [],
@@ -151,7 +151,7 @@ def test_all_keyframes_of_other_segments_are_looked_at_however_new(views):
 
 
 def test_no_more_of_other_segments_than_wanted(views):
-    loop_closer = closer(camera=views.camera, min_gap_s=3.0, candidates=2)
+    loop_closer = closer(camera=views.camera, min_gap=3, candidates=2)
     attempts = close_all(loop_closer, views, [0, 0, 1, 0, 0])
     assert [pairs(each) for each in attempts[2:]] == [
         [(2, 1), (2, 0)],
@@ -162,7 +162,7 @@ def test_no_more_of_other_segments_than_wanted(views):
 
 def test_every_keyframe_beyond_the_window_leaves_an_attempt(views):
     angles_deg = np.random.default_rng(0).uniform(0, 360, 40)
-    attempts = run(closer(camera=views.camera), views, angles_deg)
+    attempts = run(closer(camera=views.camera, min_gap=3), views, angles_deg)
     assert all(each == () for each in attempts[:3])
     for number, each in enumerate(attempts[3:], start=3):
         assert 1 <= len(each) <= 4
@@ -311,7 +311,7 @@ class Certified(Scripted):
 
 def test_a_certificate_is_put_beside_the_pairs_that_could_be_loops(views):
     recognizer = Certified()
-    loop_closer = closer(recognizer, camera=views.camera, min_gap_s=3.0)
+    loop_closer = closer(recognizer, camera=views.camera, min_gap=3)
     run(loop_closer, views, [0, 10, 20, 30, 40])
     new = keyframe(5, views.reference, 50.0)
     loop_closer.close(new, direction(50), linked_ids=[4, 3, 2, 1])  # so 0 is the only one left
@@ -325,7 +325,7 @@ def test_a_certificate_is_put_beside_the_pairs_that_could_be_loops(views):
 
 
 def test_places_unlike_those_calibrated_on_are_warned_of(views):
-    loop_closer = closer(Certified(), camera=views.camera)
+    loop_closer = closer(Certified(), camera=views.camera, min_gap=3)
     run(loop_closer, views, [0] * 10 + [180] * 10)
     (warning,) = loop_closer.calibration().warnings
     assert "of the 153 similarities lie outside 0.000 to 1.000" in warning
@@ -350,7 +350,7 @@ def test_a_certificate_of_another_version_is_refused_at_once():
 
 
 def test_a_certificate_is_put_beside_pairs_of_two_segments_too(views):
-    loop_closer = closer(Certified(), camera=views.camera, min_gap_s=3.0)
+    loop_closer = closer(Certified(), camera=views.camera, min_gap=3)
     close_all(loop_closer, views, [0, 0, 1])
     live = loop_closer.calibration().live_similarities
     np.testing.assert_allclose(live, np.cos(np.radians([2, 1])), atol=1e-6)

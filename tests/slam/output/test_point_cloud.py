@@ -10,7 +10,7 @@ from placerec.errors import LoopcloseError
 from slam.config import MapConfig
 from slam.datasets.cameras import FREIBURG
 from slam.geometry import se3
-from slam.output.point_cloud import fuse, write_map
+from slam.output.point_cloud import PointCloud, fuse, write_map
 from slam.result import SlamResult
 from slam.tracking.tracked_frame import preview
 from slam.types import Camera, Frame, Keyframe, Trajectory
@@ -55,7 +55,7 @@ def result_of(keyframes, T_world_kf=None, camera=CAMERA):
 
 
 def points_of(cloud):
-    return np.asarray(cloud.points)
+    return cloud.points_m
 
 
 def test_a_wall_is_a_plane_of_the_right_size_and_colour():
@@ -66,9 +66,7 @@ def test_a_wall_is_a_plane_of_the_right_size_and_colour():
     assert np.ptp(points_m[:, 0]) == pytest.approx(width_m, abs=0.12)
     assert np.ptp(points_m[:, 1]) == pytest.approx(height_m, abs=0.12)
     np.testing.assert_allclose(points_m.mean(axis=0)[:2], 0.0, atol=0.05)
-    np.testing.assert_allclose(
-        np.asarray(cloud.colors) * 255, np.tile([200, 100, 50], (len(points_m), 1))
-    )
+    np.testing.assert_allclose(cloud.colours, np.tile([200, 100, 50], (len(points_m), 1)))
 
 
 @pytest.mark.parametrize("camera", [CAMERA, FREIBURG["1"]], ids=["ideal", "distorting"])
@@ -80,7 +78,7 @@ def test_points_project_back_into_the_pixels_they_came_from(camera):
     depth_m = np.full((camera.height, camera.width), 1.5)
     fine = MapConfig(voxel_m=0.001)
     cloud = fuse(result_of([keyframe_of(0, rgb, depth_m)], camera=camera), fine)
-    is_red = np.asarray(cloud.colors)[:, 1] < 0.1
+    is_red = cloud.colours[:, 1] < 25
     projected, _ = cv2.projectPoints(
         points_of(cloud)[is_red],
         np.zeros(3),
@@ -93,11 +91,28 @@ def test_points_project_back_into_the_pixels_they_came_from(camera):
     np.testing.assert_allclose(centre_px, [u + 2.0, v + 2.0], atol=0.6)
 
 
+def test_each_voxel_holds_the_means_that_open3d_finds():
+    rng = np.random.default_rng(0)
+    points_m, colours = rng.normal(size=(5000, 3)), rng.uniform(0.0, 255.0, (5000, 3))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
+    cloud.colors = o3d.utility.Vector3dVector(colours / 255.0)
+    # It begins to count voxels half of one before the least point.
+    expected = cloud.voxel_down_sample(0.25)
+    least_m = points_m.min(axis=0) - 0.125
+    found = PointCloud(points_m - least_m, colours).thinned(0.25)
+    for ours, theirs in (
+        (found.points_m + least_m, expected.points),
+        (found.colours / 255.0, expected.colors),
+    ):
+        ours, theirs = (each[np.lexsort(each.T)] for each in (ours, np.asarray(theirs)))
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
 def test_keyframes_are_placed_by_their_corrected_poses():
     T_world_kf = [np.eye(4), se3.exp(np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0]))]
     keyframes = [wall(0, 2.0, (255, 0, 0)), wall(1, 3.0, (0, 0, 255))]
     cloud = fuse(result_of(keyframes, T_world_kf), COARSE)
-    is_red = np.asarray(cloud.colors)[:, 0] > 0.5
+    is_red = cloud.colours[:, 0] > 127
     np.testing.assert_allclose(points_of(cloud)[is_red][:, 2], 2.0)
     np.testing.assert_allclose(points_of(cloud)[~is_red][:, 0], 3.0)
 
@@ -105,12 +120,12 @@ def test_keyframes_are_placed_by_their_corrected_poses():
 def test_what_several_keyframes_see_is_there_once():
     once = fuse(result_of([wall()]), COARSE)
     thrice = fuse(result_of([wall(i) for i in range(3)]), COARSE)
-    assert len(thrice.points) == len(once.points)
+    assert len(thrice.points_m) == len(once.points_m)
 
 
 def test_points_are_no_denser_than_the_voxels():
     counts = [
-        len(fuse(result_of([wall()]), MapConfig(voxel_m=voxel_m)).points)
+        len(fuse(result_of([wall()]), MapConfig(voxel_m=voxel_m)).points_m)
         for voxel_m in (0.1, 0.3, 0.9)
     ]
     assert counts[0] > 4 * counts[1] > 16 * counts[2] > 0
@@ -147,8 +162,8 @@ def test_the_file_is_a_ply_that_open3d_reads(tmp_path):
     result = result_of([wall()])
     write_map(tmp_path / "map.ply", result, COARSE)
     cloud, read = fuse(result, COARSE), o3d.io.read_point_cloud(str(tmp_path / "map.ply"))
-    np.testing.assert_allclose(points_of(read), points_of(cloud), atol=1e-6)
-    np.testing.assert_allclose(np.asarray(read.colors), np.asarray(cloud.colors), atol=1e-9)
+    np.testing.assert_allclose(np.asarray(read.points), cloud.points_m, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(read.colors) * 255, cloud.colours, atol=0.5)
     assert [path.name for path in tmp_path.iterdir()] == ["map.ply"]
 
 
@@ -174,7 +189,7 @@ def test_the_finest_and_the_coarsest_map_work(tmp_path, voxel_m):
     write_map(tmp_path / "map.ply", result_of([wall()]), MapConfig(voxel_m=voxel_m))
 
 
-def test_voxels_too_fine_for_open3d_are_refused_before_the_run():
+def test_voxels_too_fine_are_refused_before_the_run():
     with pytest.raises(ValueError, match="voxel_m"):
         MapConfig(voxel_m=1e-9)
 

@@ -33,10 +33,13 @@ def poses(*places):
     return T
 
 
-def test_frames_move_with_their_keyframe(frames):
+def test_frames_move_with_their_keyframe_and_share_the_bend_to_the_next_one(frames):
     trajectory = frames.trajectory(poses(0.0, 4.0, 7.0))
     assert trajectory.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0, 20.0, 21.0]
-    assert trajectory.T_world_cam[:, 0, 3].tolist() == [0.0, 0.5, 4.0, 4.5, 7.0, 7.5]
+    # From the first keyframe to the second the odometry went 1 m, not 4; a tenth of the way of it
+    # had passed. The third keyframe is of another segment.
+    expected = [0.0, 0.8, 4.0, 4.5, 7.0, 7.5]
+    np.testing.assert_allclose(trajectory.T_world_cam[:, 0, 3], expected, atol=1e-12)
     assert frames.per_keyframe() == {0: 2, 1: 2, 2: 2}
 
 

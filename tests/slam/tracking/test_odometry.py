@@ -219,6 +219,16 @@ def test_each_setting_makes_more_keyframes(frames, tracked, setting, value):
     assert sum(each.new_keyframe is not None for each in stricter) > default
 
 
+@pytest.mark.parametrize("deg", [0.01, 3.0])
+def test_keyframes_in_a_row_do_not_lose_what_the_adjustment_of_the_last_moves(
+    frames, T_first_cam, deg
+):
+    crowded = run(frames[:25], Config(odometry=OdometryConfig(keyframe_rotation_deg=deg)))
+    assert sum(each.new_keyframe is not None for each in crowded) > 5
+    error_m, error_deg = errors(poses(crowded), T_first_cam[:25])
+    assert error_m.max() < 0.02 and error_deg.max() < 1.0
+
+
 @pytest.mark.parametrize("size", [0.25, 4.0, 16.0])
 def test_a_larger_world_and_its_sensor_are_tracked_as_the_smaller_one_is(frames, tracked, size):
     camera = replace(CAMERA, depth_noise_m=CAMERA.depth_noise_m / size)
