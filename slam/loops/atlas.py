@@ -73,9 +73,9 @@ class Atlas:
         self._loops: dict[int, Loop] = {}
 
     @property
-    def loops(self) -> int:
-        """How many loops there are."""
-        return len(self._loops)
+    def loops(self) -> Counter[int]:
+        """How many loops there are, per segment of their later keyframe."""
+        return Counter(self._keyframes[loop.query_id].segment for loop in self._loops.values())
 
     def add(
         self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]

@@ -30,8 +30,8 @@ from slam.types import (
 )
 
 _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and then fewer
-# On the way, loops wait until there are this many more of them than the last correction knew: the
-# total cost then grows with the logarithm of their number.
+# On the way, loops of a segment wait until there are this share more of them than the last
+# correction knew: the total cost then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
 
 
@@ -77,7 +77,7 @@ class BackEnd:
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
         self._solver = ThreadPoolExecutor(1, thread_name_prefix="corrections")
-        self._solved_loops = 0
+        self._solved_loops: Counter[int] = Counter()  # per segment of the later keyframe
         self._solving: list[Future[None]] = []
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: RecognizerError | None = None  # nothing after it is taken in
@@ -211,8 +211,9 @@ class BackEnd:
         self._atlas.move(moved)
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
-        if self._atlas.loops - self._solved_loops > _LOOP_GROWTH * self._solved_loops:
-            self._solved_loops = self._atlas.loops
+        loops, solved = self._atlas.loops, self._solved_loops[keyframe.segment]
+        if loops[keyframe.segment] - solved > _LOOP_GROWTH * solved:
+            self._solved_loops = loops
             largest = self._atlas.largest()
             self._solving.append(self._solver.submit(self._correct, keyframe.id, largest))
         return attempts

@@ -193,6 +193,21 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
     assert len(behind.corrections) == 3
 
 
+def test_the_first_loops_of_another_segment_do_not_wait_for_as_many_as_there_are(
+    keyframes, monkeypatch
+):
+    monkeypatch.setattr("slam.loops.back_end._LOOP_GROWTH", 10.0)
+    behind = back_end(Gate(), min_gap=2)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), {}, rgb)
+    for k in (4, 5):
+        elsewhere = replace(keyframes[0][0], id=k, timestamp_s=3.0 * k, segment=1)
+        behind.insert(elsewhere, links(elsewhere) if k == 5 else (), {}, rgb)
+    behind.catch_up()
+    # The second loop of the first segment waits for ten more, the first of the next for none.
+    assert [each.newest_id for each in behind.corrections] == [-1, 2, 4]
+
+
 def test_links_follow_the_odometry_that_moves_its_keyframes(keyframes):
     behind = back_end(Gate(), min_gap=100)
     moved = se3.exp(np.array([0.0, 0.1, 0.0, 0.3, 0.0, 0.0]))
