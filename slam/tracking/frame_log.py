@@ -61,9 +61,10 @@ class _LoggedFrame(NamedTuple):
     newest_id: int  # the newest keyframe then
 
 
-def _is_one_walk(first: _LoggedFrame, last: _LoggedFrame, end: _LoggedFrame) -> bool:
-    """Return whether the camera was followed from a keyframe to the next one, the end."""
-    return first.keyframe_id == last.keyframe_id and first.segment == end.segment
+def _is_one_walk(frames: Sequence[_LoggedFrame]) -> bool:
+    """Return whether the camera was followed from a keyframe to the next one, the last frame."""
+    ids = {each.keyframe_id for each in frames[:-1]}
+    return len(ids) == 1 and frames[0].segment == frames[-1].segment
 
 
 def _shared_bend(frames: Sequence[_LoggedFrame], T_any_kf: FloatArray) -> FloatArray:
@@ -125,7 +126,7 @@ class FrameLog:
         ends = [n for n, each in enumerate(frames) if n and each.newest_id == each.keyframe_id]
         ends = [n for n in ends if frames[n - 1].newest_id != frames[n].newest_id]
         for start, end in pairwise([0, *ends]):
-            if _is_one_walk(frames[start], frames[end - 1], frames[end]):
+            if _is_one_walk(frames[start : end + 1]):
                 between = slice(start + 1, end)
                 T_any_cam[between] = _shared_bend(frames[start : end + 1], T_any_kf)
         return Trajectory(np.array([frame.timestamp_s for frame in frames]), T_any_cam)

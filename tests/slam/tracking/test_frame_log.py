@@ -43,6 +43,22 @@ def test_frames_move_with_their_keyframe_and_share_the_bend_to_the_next_one(fram
     assert frames.per_keyframe() == {0: 2, 1: 2, 2: 2}
 
 
+def test_a_camera_that_was_elsewhere_in_between_shares_no_bend():
+    frames = FrameLog()
+    for k in range(2):
+        (T_odom_cam,) = poses(100.0 + k)
+        keyframe = Keyframe(k, float(k), T_odom_cam, None, None)
+        frames.add(float(k), TrackedFrame(k, np.eye(4), T_odom_cam, new_keyframe=keyframe))
+    (T_odom_cam,) = poses(100.5)
+    frames.add(2.0, TrackedFrame(0, AHEAD, T_odom_cam))  # recognized at the first keyframe
+    frames.add(3.0, TrackedFrame(1, AHEAD, T_odom_cam @ AHEAD @ AHEAD))
+    (T_odom_cam,) = poses(102.0)
+    keyframe = Keyframe(2, 4.0, T_odom_cam, None, None)
+    frames.add(4.0, TrackedFrame(2, np.eye(4), T_odom_cam, new_keyframe=keyframe))
+    trajectory = frames.trajectory(poses(0.0, 4.0, 9.0))
+    assert trajectory.T_world_cam[:, 0, 3].tolist() == [0.0, 4.0, 0.5, 4.5, 9.0]
+
+
 def test_live_frames_stay_where_they_were_when_they_were_tracked(frames):
     asked = []
 
