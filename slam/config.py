@@ -84,14 +84,15 @@ class OdometryConfig(_Section):
     keyframe_inlier_share: _Fraction = 0.35
     """A new keyframe starts when fewer than this share of the keyframe's features is tracked."""
     links: Annotated[int, Field(ge=0)] = 4
-    """Keyframes that a new one is tied to by what both see, besides the one that shares most."""
+    """Keyframes that a new one is tied to by what both see, besides the one that shares most and
+    the one that the camera came from."""
 
 
 class LoopConfig(_Section):
     """Which earlier keyframes are looked at as the same place."""
 
     min_gap: PositiveInt = 5
-    """A keyframe and so many before it in its segment are not candidates of each other."""
+    """Keyframes of one segment that fewer than so many were taken after are not candidates."""
     candidates: PositiveInt = 4
     """Most similar keyframes verified by geometry, per new keyframe."""
     min_similarity: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None

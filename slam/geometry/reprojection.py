@@ -87,7 +87,7 @@ class Observations:
         """
         # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
         x, y, z = np.ascontiguousarray(points_cam_m.T)
-        nearness = 1.0 / z
+        nearness = 1.0 / np.where(z == 0.0, np.inf, z)
         x, y = x * nearness, y * nearness
         disparity = _BASELINE_M * camera.fx * nearness
         expected = np.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy, disparity])

@@ -31,7 +31,7 @@ from slam.types import (
 
 _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and then fewer
 # On the way, loops of a segment wait until there are this share more of them than the last
-# correction knew: the total cost then grows with the logarithm of their number.
+# correction knew: the cost per segment then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
 
 

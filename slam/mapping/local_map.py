@@ -15,8 +15,8 @@ from slam.types import Camera, Features, FloatArray, IntArray
 _WINDOW = 10  # keyframes that are adjusted together when a new one enters
 _OUTER = 10  # further ones that see the same landmarks and hold the window in place
 _ROUNDS = (3, 5)  # steps of the adjustment, before and after what does not fit is dropped
-# An adjustment takes about as long as so many frames. They are placed against what it moves: the
-# more they are, the less they fit to it afterwards.
+# An adjustment takes about as long as so many frames, and the last of them takes it up. The others
+# are placed against what it moves: the more they are, the less they fit to it afterwards.
 _FRAMES_BESIDE = 3
 _FUSE_RADIUS_PX = 3.0
 _TRIANGULATED_WITH = 3  # keyframes that are asked what they saw of features without depth
@@ -27,8 +27,8 @@ class LocalMap:
     """A map that grows by keyframes, and the landmarks around the last of them.
 
     The keyframes around a new one are adjusted in a thread of its own, and put back a number of
-    frames later, before the next keyframe in any case: tracking seldom has to wait, and what comes
-    out does not depend on who was faster.
+    frames later, or when another is to enter: tracking seldom has to wait, and what comes out does
+    not depend on who was faster.
 
     Attributes:
         whole: all keyframes and landmarks, odometry frame.

@@ -59,24 +59,25 @@ class _LoggedFrame(NamedTuple):
     segment: int
     T_odom_cam: FloatArray  # as it was known when the frame was tracked
     newest_id: int  # the newest keyframe then
+    T_ref_cam: dict[int, FloatArray]  # a new keyframe's links, by the id of the other keyframe
 
 
-def _is_one_walk(frames: Sequence[_LoggedFrame]) -> bool:
-    """Return whether the camera was followed from a keyframe to the next one, the last frame."""
-    ids = {each.keyframe_id for each in frames[:-1]}
-    return len(ids) == 1 and frames[0].segment == frames[-1].segment
+def _shared_bend(frames: Sequence[_LoggedFrame], T_any_kf: FloatArray) -> FloatArray | None:
+    """Return (N - 2, 4, 4), the frames after a keyframe, bent towards the last, the next one.
 
-
-def _shared_bend(frames: Sequence[_LoggedFrame], T_any_kf: FloatArray) -> FloatArray:
-    """Return (N - 2, 4, 4), the frames after a keyframe, bent towards the last, the next one."""
-    last, end = frames[-2:]
-    T_kf_end = last.T_kf_cam @ se3.inverse(last.T_odom_cam) @ end.T_odom_cam
-    bend = se3.log(se3.inverse(T_any_kf[last.keyframe_id] @ T_kf_end) @ T_any_kf[end.keyframe_id])
+    None where there is no bend to share: frames in between were placed against another keyframe, or
+    no link says how the odometry came from the one to the other.
+    """
+    start, end = frames[0], frames[-1]
+    T_kf_end = end.T_ref_cam.get(start.keyframe_id)
+    if T_kf_end is None or {each.keyframe_id for each in frames[:-1]} != {start.keyframe_id}:
+        return None
+    T_any_end = T_any_kf[start.keyframe_id] @ T_kf_end
+    bend = se3.log(se3.inverse(T_any_end) @ T_any_kf[end.keyframe_id])
     times_s = np.array([each.timestamp_s for each in frames])
     share = (times_s - times_s[0]) / (times_s[-1] - times_s[0])
-    T_end_cam = [se3.inverse(T_kf_end) @ each.T_kf_cam for each in frames[1:-1]]
-    bent = T_any_kf[last.keyframe_id] @ T_kf_end @ se3.exp(share[1:-1, None] * bend)
-    return np.asarray(bent @ np.array(T_end_cam).reshape(-1, 4, 4))
+    T_end_cam = se3.inverse(T_kf_end) @ np.array([each.T_kf_cam for each in frames[1:-1]])
+    return np.asarray(T_any_end @ se3.exp(share[1:-1, None] * bend) @ T_end_cam)
 
 
 class FrameLog:
@@ -99,6 +100,7 @@ class FrameLog:
                 tracked.segment,
                 tracked.T_odom_cam,
                 newest_id,
+                {link.ref_id: link.motion.T_ref_query for link in tracked.links},
             )
         )
 
@@ -126,9 +128,11 @@ class FrameLog:
         ends = [n for n, each in enumerate(frames) if n and each.newest_id == each.keyframe_id]
         ends = [n for n in ends if frames[n - 1].newest_id != frames[n].newest_id]
         for start, end in pairwise([0, *ends]):
-            if _is_one_walk(frames[start : end + 1]):
-                between = slice(start + 1, end)
-                T_any_cam[between] = _shared_bend(frames[start : end + 1], T_any_kf)
+            if end - start < 2:
+                continue
+            bent = _shared_bend(frames[start : end + 1], T_any_kf)
+            if bent is not None:
+                T_any_cam[start + 1 : end] = bent
         return Trajectory(np.array([frame.timestamp_s for frame in frames]), T_any_cam)
 
     def live(
@@ -165,7 +169,8 @@ class FrameLog:
     def untracked_s(self, T_any_kf: FloatArray) -> FloatArray:
         """Return when all frames were taken that (K, 4, 4) poses give no place, in time order."""
         every_s = [*self._lost_s, *(frame.timestamp_s for frame in self._frames)]
-        return np.setdiff1d(every_s, self.trajectory(T_any_kf).timestamps_s)
+        placed = self._on(np.isfinite(T_any_kf[:, 0, 0]))
+        return np.setdiff1d(every_s, [frame.timestamp_s for frame in placed])
 
     def warnings(self, T_any_kf: FloatArray) -> tuple[str, ...]:
         """Return a sentence about the frames that were lost, and one about those not joined."""
@@ -177,7 +182,8 @@ class FrameLog:
             )
         unjoined_s = self.unjoined_s(T_any_kf)
         if len(unjoined_s):
-            start_s, beginning = self.trajectory(T_any_kf).timestamps_s[0], ""
+            placed = self._on(np.isfinite(T_any_kf[:, 0, 0]))
+            start_s, beginning = placed[0].timestamp_s, ""
             if start_s != self._frames[0].timestamp_s:
                 beginning = (
                     f"; the map is the part with the most frames, which begins at {start_s:.3f} s"

@@ -191,6 +191,9 @@ class RgbdOdometry:
         keyframe = self._insert(view, frame_pose, turning_rad_s)
         covisible = self._trails.covisible(keyframe.id, frame_pose.pairs[:, 0])
         most = covisible[: 1 + self._config.links]
+        # How the camera came here is measured, whoever shares more.
+        if all(each.id != reference.id for each in most):
+            most.append(reference)
         links = covisible_links(self.map, keyframe, most, frame_pose.hessian)
         return self._placed(keyframe, np.eye(4), keyframe, links)
 
@@ -233,7 +236,7 @@ class RgbdOdometry:
         )
 
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
-        """Make a keyframe of the view, which stays where it was placed until the next frame."""
+        """Make a keyframe of the view, which stays where it was placed until the map is settled."""
         model, T_map_cam = self._trails.followed, frame_pose.T_map_cam
         new_id = self._local_map.insert(view.features, view.grid, T_map_cam, frame_pose.pairs)
         self._near = model

@@ -118,8 +118,23 @@ def test_each_trajectory_is_what_it_says(frames):
     np.testing.assert_array_equal(result.odometry.T_world_cam, T_odom_cam)
     live = np.array(corrections) @ T_odom_cam
     np.testing.assert_allclose(result.live.T_world_cam, live, atol=1e-9)
-    T_world_cam = [result.T_world_kf[each.keyframe_id] @ each.T_kf_cam for each in tracked]
-    np.testing.assert_allclose(result.trajectory.T_world_cam, T_world_cam, atol=0.01)
+    T_world_cam = np.array([result.T_world_kf[e.keyframe_id] @ e.T_kf_cam for e in tracked])
+    starts = [n for n, each in enumerate(tracked) if each.new_keyframe]
+    np.testing.assert_allclose(
+        result.trajectory.T_world_cam[starts], T_world_cam[starts], atol=1e-9
+    )
+    for start, end in pairwise(starts):  # what is in between, seen from before and from behind
+        (tie,) = [each for each in tracked[end].links if each.ref_id == tracked[start].keyframe_id]
+        T_end_start = se3.inverse(tie.motion.T_ref_query)
+        for n in range(start + 1, end):
+            behind = T_world_cam[end] @ T_end_start @ tracked[n].T_kf_cam
+            share = (frames[n].timestamp_s - frames[start].timestamp_s) / (
+                frames[end].timestamp_s - frames[start].timestamp_s
+            )
+            mixed_m = (1.0 - share) * T_world_cam[n, :3, 3] + share * behind[:3, 3]
+            np.testing.assert_allclose(result.trajectory.T_world_cam[n, :3, 3], mixed_m, atol=1e-4)
+    last = slice(starts[-1], None)
+    np.testing.assert_allclose(result.trajectory.T_world_cam[last], T_world_cam[last], atol=1e-9)
     unlooped = run(frames, Config(loop=LoopConfig(min_similarity=1.0)))
     without_loops = result.without_loops.T_world_cam
     np.testing.assert_allclose(without_loops, unlooped.trajectory.T_world_cam, atol=1e-9)

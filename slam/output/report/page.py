@@ -31,7 +31,7 @@ _MAX_ROWS = 1000
 """Decisions listed on the page; all of them are in the ledger."""
 
 _KINDS = (ACCEPTED, FALSE, *(reason.name.lower() for reason in RejectionReason))
-_PACKAGES = ("loopclose", "gtsam", "numpy", "opencv-python-headless", "open3d", "matplotlib")
+_PACKAGES = ("loopclose", "gtsam", "numpy", "opencv-python-headless", "matplotlib")
 
 
 def write_report(

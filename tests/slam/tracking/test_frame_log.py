@@ -6,10 +6,15 @@ import pytest
 
 from slam.tracking.frame_log import FrameLog
 from slam.tracking.tracked_frame import TrackedFrame
-from slam.types import Keyframe
+from slam.types import Keyframe, Link, RelativePose
 
 AHEAD = np.eye(4)
 AHEAD[0, 3] = 0.5
+
+
+def link(ref_id, query_id):
+    """Return the motion of a metre ahead."""
+    return Link(ref_id, query_id, RelativePose(AHEAD @ AHEAD, np.eye(6)))
 
 
 @pytest.fixture
@@ -19,8 +24,9 @@ def frames():
     for k in range(3):
         (T_odom_cam,) = poses(100.0 + k)
         here = TrackedFrame(k, np.eye(4), T_odom_cam, k // 2)
+        tie = (link(0, 1),) if k == 1 else ()
         keyframe = Keyframe(k, 10.0 * k, T_odom_cam, None, None, segment=k // 2)
-        frames.add(10.0 * k, replace(here, new_keyframe=keyframe))
+        frames.add(10.0 * k, replace(here, new_keyframe=keyframe, links=tie))
         frames.add(10.0 * k + 1.0, replace(here, T_kf_cam=AHEAD, T_odom_cam=T_odom_cam @ AHEAD))
         frames.lose(10.0 * k + 2.0)
     return frames
@@ -43,20 +49,48 @@ def test_frames_move_with_their_keyframe_and_share_the_bend_to_the_next_one(fram
     assert frames.per_keyframe() == {0: 2, 1: 2, 2: 2}
 
 
-def test_a_camera_that_was_elsewhere_in_between_shares_no_bend():
+def walk(*steps):
+    """Return the log of steps (keyframe, metres ahead of it, ids that it is a keyframe linked to).
+
+    A second passes in each. Where the odometry had them at the time says nothing.
+    """
     frames = FrameLog()
-    for k in range(2):
-        (T_odom_cam,) = poses(100.0 + k)
-        keyframe = Keyframe(k, float(k), T_odom_cam, None, None)
-        frames.add(float(k), TrackedFrame(k, np.eye(4), T_odom_cam, new_keyframe=keyframe))
-    (T_odom_cam,) = poses(100.5)
-    frames.add(2.0, TrackedFrame(0, AHEAD, T_odom_cam))  # recognized at the first keyframe
-    frames.add(3.0, TrackedFrame(1, AHEAD, T_odom_cam @ AHEAD @ AHEAD))
-    (T_odom_cam,) = poses(102.0)
-    keyframe = Keyframe(2, 4.0, T_odom_cam, None, None)
-    frames.add(4.0, TrackedFrame(2, np.eye(4), T_odom_cam, new_keyframe=keyframe))
-    trajectory = frames.trajectory(poses(0.0, 4.0, 9.0))
-    assert trajectory.T_world_cam[:, 0, 3].tolist() == [0.0, 4.0, 0.5, 4.5, 9.0]
+    for second, (k, ahead_m, linked_ids) in enumerate(steps):
+        tracked = TrackedFrame(k, poses(ahead_m)[0], np.eye(4))
+        if linked_ids is not None:
+            keyframe = Keyframe(k, float(second), np.eye(4), None, None)
+            links = tuple(link(ref_id, k) for ref_id in linked_ids)
+            tracked = replace(tracked, new_keyframe=keyframe, links=links)
+        frames.add(float(second), tracked)
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ([(0, 0.0, ()), (0, 0.5, None), (1, 0.0, [0])], [0.0, 2.0, 4.0]),
+        # It was recognized at another keyframe in between.
+        (
+            [(0, 0.0, ()), (1, 0.0, [0]), (0, 0.5, None), (1, 0.5, None), (2, 0.0, [0, 1])],
+            [0.0, 4.0, 0.5, 4.5, 9.0],
+        ),
+        # It was lost, and a keyframe was made where it was found: far from where it had been.
+        (
+            [(0, 0.0, ()), (1, 0.0, [0]), (1, 0.5, None), (2, 0.0, [0])],
+            [0.0, 4.0, 4.5, 9.0],
+        ),
+    ],
+    ids=["followed", "elsewhere in between", "found elsewhere"],
+)
+def test_only_a_camera_that_was_followed_to_the_next_keyframe_shares_its_bend(steps, expected):
+    trajectory = walk(*steps).trajectory(poses(0.0, 4.0, 9.0))
+    np.testing.assert_allclose(trajectory.T_world_cam[:, 0, 3], expected, atol=1e-12)
+
+
+def test_a_map_that_moves_as_a_whole_is_no_bend():
+    T_world_kf = poses(0.03, 1.03)
+    trajectory = walk((0, 0.0, ()), (0, 0.2, None), (1, 0.0, [0])).trajectory(T_world_kf)
+    np.testing.assert_allclose(trajectory.T_world_cam[:, 0, 3], [0.03, 0.23, 1.03], atol=1e-12)
 
 
 def test_live_frames_stay_where_they_were_when_they_were_tracked(frames):

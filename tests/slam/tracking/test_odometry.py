@@ -268,6 +268,16 @@ def test_no_more_links_than_asked_for(frames):
     assert [len(each) for each in links] == [0] + [1] * (len(links) - 1)
 
 
+def test_how_the_camera_came_to_a_keyframe_is_measured_whoever_shares_more(frames, monkeypatch):
+    covisible = Trails.covisible
+    monkeypatch.setattr(Trails, "covisible", lambda *arguments: covisible(*arguments)[::-1])
+    reference = None
+    for each in run(frames, Config(odometry=OdometryConfig(links=0))):
+        if each.new_keyframe and reference is not None:
+            assert reference in [link.ref_id for link in each.links]
+        reference = each.keyframe_id
+
+
 def test_a_link_knows_how_far_off_it_may_be(tracked, frames, T_first_cam):
     """The squared errors, in units of their covariance, have about the median of chi-square."""
     index_of = {frame.timestamp_s: i for i, frame in enumerate(frames)}
