@@ -7,9 +7,17 @@ The TOML file, the command-line flags and the settings shown in the report all c
 import json
 import tomllib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+)
 
 from slam.types import SlamError
 
@@ -19,6 +27,7 @@ PYRAMID_SCALE = 1.2
 PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
 _Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+_SevenNumbers = tuple[float, float, float, float, float, float, float]
 
 
 class _Section(BaseModel):
@@ -72,7 +81,7 @@ class VerificationConfig(_Section):
 
 
 class OdometryConfig(_Section):
-    """Tracking against the last keyframe, and when a frame becomes one."""
+    """Tracking, when a frame becomes a keyframe, and how poses from elsewhere are to be read."""
 
     min_inliers: PositiveInt = 15
     """Matches that must agree with the motion, else the frame counts as not tracked."""
@@ -86,6 +95,26 @@ class OdometryConfig(_Section):
     links: Annotated[int, Field(ge=0)] = 4
     """Keyframes that a new one is tied to by what both see, besides the one that shares most and
     the one that the camera came from."""
+    T_base_cam: Literal["auto"] | _SevenNumbers | None = None
+    """Where the camera's optical frame (x right, y down, z ahead) is on the body that given poses
+    are of: tx ty tz qx qy qz qw, metres; auto: as the images tell; default: they are the camera's.
+    """
+    scale: Literal["auto"] | PositiveFloat = 1.0
+    """Metres per unit of given poses; auto: as the depth images tell."""
+    time_offset_s: Literal["auto"] | FiniteFloat = 0.0
+    """How much later the time stamps of given poses are than the images'; auto: as turning tells.
+    """
+    inverted: bool = False
+    """Given poses take the world to the camera, as extrinsics do."""
+    w_first: bool = False
+    """Given quaternions are w x y z."""
+
+    @field_validator("T_base_cam")
+    @classmethod
+    def _has_a_rotation(cls, value: object) -> object:
+        if isinstance(value, tuple) and sum(q * q for q in value[3:]) < 1e-6:
+            raise ValueError("the quaternion qx qy qz qw has length zero")
+        return value
 
 
 class LoopConfig(_Section):
@@ -105,10 +134,6 @@ class GraphConfig(_Section):
     inlier_probability: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.95
     """Share of the true loops to keep if their noise is what they claim; a loop with a larger error
     is outvoted. More keeps more true loops, and more false ones that fit by chance."""
-    outside_rotation_sigma_deg: PositiveFloat = 1.0
-    """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
-    outside_translation_sigma_m: PositiveFloat = 0.02
-    """Standard deviation of a motion between keyframes whose poses come from elsewhere."""
 
 
 class MotionConfig(_Section):

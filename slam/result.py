@@ -44,6 +44,26 @@ class Calibration:
 
 
 @dataclass(frozen=True)
+class GivenOdometry:
+    """What became of an odometry from elsewhere.
+
+    Attributes:
+        given: its poses as they came.
+        corrected: the same poses, corrected: of the same body, in the same unit, at the same times,
+            in a frame in which the first is as it came; without those that nothing is known of.
+        T_map_odom: (N, 4, 4), what takes its poses to the corrected ones, metres.
+        sentences: what the images say of it, one each.
+        fits: whether it has to do with the images at all; if not, it was not used.
+    """
+
+    given: Trajectory
+    corrected: Trajectory
+    T_map_odom: FloatArray
+    sentences: tuple[str, ...]
+    fits: bool
+
+
+@dataclass(frozen=True)
 class SlamResult:
     """Everything a run found out.
 
@@ -53,6 +73,7 @@ class SlamResult:
         T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
             Not smoothed, whatever the trajectories are.
         odometry: every placed frame, as it was tracked (drifting); one motion joins two segments.
+            Where poses came from elsewhere, those of the camera, as they came.
         live: the same, each corrected by the loops that were closed until then; without the frames
             of a segment of which was not known yet where it lies.
         without_loops: the same in the end, with all that is done to the map but loop closure.
@@ -72,6 +93,7 @@ class SlamResult:
         elapsed_s: wall time of the whole run, waiting for frames included.
         unsmoothed: `trajectory` before it was smoothed, None where it was not. The other
             trajectories and `T_world_kf` never are.
+        given: what became of an odometry from elsewhere, None where there is none.
     """
 
     camera: Camera
@@ -93,6 +115,7 @@ class SlamResult:
     session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     elapsed_s: float = 0.0
     unsmoothed: Trajectory | None = None
+    given: GivenOdometry | None = None
 
     @property
     def corrected(self) -> Trajectory:

@@ -11,14 +11,16 @@ from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.evaluation.steps import impossible_steps
+from slam.external_odometry.odometry import ExternalOdometry
+from slam.external_odometry.trust import Verdict
+from slam.geometry import se3
 from slam.loops.atlas import Correction, odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import adjust_with_loops, size_warning
 from slam.result import SlamResult
 from slam.stage_clock import StageClock
-from slam.tracking.frame_log import FrameLog, check_frame, checked_pose
-from slam.tracking.given_poses import GivenPoses
+from slam.tracking.frame_log import FrameLog, LoggedFrame, check_frame
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
@@ -26,10 +28,10 @@ from slam.types import Camera, FloatArray, Frame, LoopAttempt, Rejection, SlamEr
 
 
 class Slam:
-    """RGB-D SLAM with loop closure.
+    """RGB-D SLAM with loop closure, for a camera alone or for one that an odometry has poses of.
 
-    Two doors into one object: `process(frame)` tracks the camera itself; `add_keyframe(frame,
-    T_odom_cam)` takes poses from any other odometry. A run goes through one of them; either way
+    `process(frame)` takes the images one by one, `process(frame, T_odom_cam)` with the pose that
+    any other odometry has of the camera. How good that is, is found out by comparing the two.
     `finish()` returns the result.
     """
 
@@ -41,8 +43,7 @@ class Slam:
         self.clock = StageClock()
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
         self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize)
-        self._given_poses = GivenPoses(camera, self._config)
-        self._front_end: RgbdOdometry | GivenPoses = self._odometry  # where frames come through
+        self._external = ExternalOdometry(self._config.odometry)
         self._frames = FrameLog()
         self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
@@ -53,20 +54,37 @@ class Slam:
         """Whether there is anything to finish."""
         return not self._back_end.is_empty
 
-    def process(self, frame: Frame) -> TrackedFrame | Rejection:
+    def process(
+        self,
+        frame: Frame,
+        T_odom_cam: FloatArray | None = None,
+        covariance: FloatArray | None = None,
+    ) -> TrackedFrame | Rejection:
         """Take the next frame of the camera and return where it was placed, or why it was not.
 
+        Another odometry may have a (4, 4) pose of the camera, or of the body that it is on: see
+        `--odometry.T-base-cam`. If it tells the (6, 6) covariance of its motion since its last
+        pose, [rotation; translation], that is believed; else it is estimated.
+
         Raises:
-            SlamError: the frame is not of the camera's size, or the time does not increase.
+            SlamError: the frame is not of the camera's size, the time does not increase, or the
+                pose is not a rigid transform.
             RecognizerError: the recognizer failed on a keyframe, up to eight before this one, or on
                 this frame, where the camera was lost; what was done until then can be finished.
         """
-        check_frame(frame, self._camera, self._last_s)
-        self._enter(self._odometry, frame)
-        with self.clock.stage("track"):
-            tracked = self._odometry.track(frame)
-        self._take(frame, tracked)
-        return tracked
+        return self._process(frame, T_odom_cam, covariance, is_keyframe=False)
+
+    def add_pose(
+        self, timestamp_s: float, T_odom_cam: FloatArray, covariance: FloatArray | None = None
+    ) -> None:
+        """Take a pose of another odometry at a time without an image, as in `process`.
+
+        It is corrected like the others, and tells where the camera went between two images.
+
+        Raises:
+            SlamError: the pose is not a rigid transform, or its time is not after the last one's.
+        """
+        self._external.add(timestamp_s, T_odom_cam, covariance)
 
     def start_session(self) -> None:
         """Take the next frame for the first of another recording, which may begin anywhere.
@@ -75,39 +93,47 @@ class Slam:
         """
         self._is_new_session = self._last_s > -np.inf
         self._odometry.start_session()
-        self._given_poses.start_session()
+        self._external.start_session()
 
     def add_keyframe(self, frame: Frame, T_odom_cam: FloatArray) -> tuple[LoopAttempt, ...]:
-        """Take a keyframe whose (4, 4) pose comes from elsewhere and return its loop candidates.
+        """Take a frame that has to be a keyframe, as in `process`, and return its loop candidates.
+
+        There are none of a frame that shows too little to become one.
 
         Raises:
             SlamError: the frame is not of the camera's size, the time does not increase, or the
                 pose is not a rigid transform.
             RecognizerError: the recognizer failed; what was done until then can be finished.
         """
-        T_odom_cam = checked_pose(frame.timestamp_s, T_odom_cam)
-        check_frame(frame, self._camera, self._last_s)
-        self._enter(self._given_poses, frame)
-        self._take(frame, self._given_poses.track(frame, T_odom_cam))
-        return self._back_end.settle()
+        tracked = self._process(frame, T_odom_cam, None, is_keyframe=True)
+        attempts = self._back_end.settle()
+        return () if isinstance(tracked, Rejection) else attempts
 
-    def _enter(self, front_end: RgbdOdometry | GivenPoses, frame: Frame) -> None:
-        if self._last_s > -np.inf and front_end is not self._front_end:
-            doors = ("process", "add_keyframe")
-            begun, other = doors if self._front_end is self._odometry else doors[::-1]
-            raise SlamError(f"this run goes through {begun}; start another Slam for {other}")
-        self._front_end, self._last_s = front_end, frame.timestamp_s
+    def _process(
+        self,
+        frame: Frame,
+        T_odom_cam: FloatArray | None,
+        covariance: FloatArray | None,
+        is_keyframe: bool,
+    ) -> TrackedFrame | Rejection:
+        check_frame(frame, self._camera, self._last_s)
+        T_given_cam = None
+        if T_odom_cam is not None:
+            T_given_cam = self._external.add(frame.timestamp_s, T_odom_cam, covariance)
+        self._last_s = frame.timestamp_s
         if self._is_new_session:
             self._session_starts_s.append(frame.timestamp_s)
             self._is_new_session = False
-
-    def _take(self, frame: Frame, tracked: TrackedFrame | Rejection) -> None:
+        with self.clock.stage("track"):
+            tracked = self._odometry.track(frame, T_given_cam, is_keyframe)
         if isinstance(tracked, Rejection):
             self._frames.lose(frame.timestamp_s)
-            return
-        if tracked.new_keyframe:
-            self._back_end.insert(tracked.new_keyframe, tracked.links, tracked.moved, frame.rgb)
+            return tracked
+        if keyframe := tracked.new_keyframe:
+            given = self._external.next_keyframe(keyframe.timestamp_s, T_given_cam)
+            self._back_end.insert(keyframe, tracked.links, tracked.moved, frame.rgb, given)
         self._frames.add(frame.timestamp_s, tracked)
+        return tracked
 
     @property
     def correction(self) -> Correction:
@@ -123,6 +149,8 @@ class Slam:
     def T_world_odom(self) -> FloatArray:
         """Return the (4, 4) correction as of now: from the odometry's frame to the world.
 
+        The odometry is what `process` returns; for poses from elsewhere ask `T_map_odom`.
+
         Raises:
             SlamError: there is no keyframe yet, or nothing tells where the camera is since it was
                 lost or a session began.
@@ -137,6 +165,26 @@ class Slam:
                 " agree where the part of the map that it is in lies to the rest; ask again later"
             )
         return T_world_odom
+
+    def T_map_odom(self) -> FloatArray:
+        """Return the (4, 4) correction of another odometry's poses as of now, without waiting.
+
+        The map lies where that odometry began, and `T_map_odom @ T_odom_cam` is where the camera
+        is. While nothing speaks against the odometry the correction changes when loops are closed;
+        once the images contradict it, with every frame.
+
+        Raises:
+            SlamError: no keyframe had a pose yet, or nothing tells where the camera is since it was
+                lost or a session began.
+        """
+        begun, last = self._external.T_given_first, self._external.T_given_last
+        if begun is None or last is None:
+            raise SlamError("there is no keyframe with a pose yet that could be corrected")
+        if (T_world_given := self.correction.T_world_given) is not None:
+            return np.asarray(begun @ T_world_given)
+        return np.asarray(
+            begun @ self.T_world_odom() @ self._frames.T_odom_last @ se3.inverse(last)
+        )
 
     def settle(self) -> None:
         """Wait until all keyframes are taken in and `correction` knows of their loops.
@@ -167,29 +215,33 @@ class Slam:
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        T_odom_kf: dict[int, FloatArray] = {}
-        if self._front_end is self._odometry:
-            self._odometry.settle()
-            T_odom_kf = {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
-        loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe())
+        self._odometry.settle()
+        T_odom_kf = {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
+        stamps_s = np.array([each.timestamp_s for each in keyframes])
+        tracked = self._frames.tracked(np.array([T_odom_kf[each.id] for each in keyframes]))
+        with self.clock.stage("compare odometry"):
+            given = self._external.read(tracked, stamps_s)
+        loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
         keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
             replace(each, T_odom_cam=T_odom_kf.get(each.id, each.T_odom_cam)) for each in keyframes
         )
         T_odom_segment = odometry_frames(keyframes, loops.links)
         T_world_kf, T_world_kf_without = loops.T_world_kf, loops.T_world_kf_without
-        unadjusted: tuple[str, ...] = ()
-        if self._front_end is self._odometry:
-            unadjusted = size_warning(len(keyframes))
-            if not unadjusted:
-                with self.clock.stage("adjust"):
-                    T_world_kf, T_world_kf_without = _adjusted(self._odometry.map, loops)
-        corrections = self._back_end.corrections
-
-        def T_world_odom(segment: int, newest_id: int) -> FloatArray | None:
-            known = bisect_right(corrections, newest_id, key=lambda each: each.newest_id)
-            return corrections[known - 1].T_world_odom.get(segment)
-
-        trajectory = self._frames.trajectory(T_world_kf)
+        unadjusted = size_warning(len(keyframes))
+        if not unadjusted:
+            with self.clock.stage("adjust"):
+                T_world_kf, T_world_kf_without = _adjusted(self._odometry.map, loops)
+        frames = self._frames
+        if loops.trust and loops.trust.verdict is Verdict.BORNE_OUT:
+            frames = frames.along(self._external.camera_poses, stamps_s, loops.trust.doubted)
+        trajectory = frames.trajectory(T_world_kf)
+        odometry = self._frames.live(
+            T_world_kf, lambda frame: T_odom_segment[frame.segment] @ frame.T_odom_cam
+        )
+        result_of_given = None
+        if self._external:
+            odometry = self._external.before(odometry)
+            result_of_given = self._external.corrected(trajectory, loops.trust)
         loop_closer = self._back_end.loop_closer
         calibration = loop_closer.calibration()
         return SlamResult(
@@ -199,11 +251,11 @@ class Slam:
                 for each in keyframes
             ),
             T_world_kf=T_world_kf,
-            odometry=self._frames.live(T_world_kf, lambda segment, _: T_odom_segment[segment]),
-            live=self._frames.live(T_world_kf, T_world_odom),
-            without_loops=self._frames.trajectory(T_world_kf_without),
+            odometry=odometry,
+            live=self._live(T_world_kf),
+            without_loops=frames.trajectory(T_world_kf_without),
             trajectory=self._smoothed(trajectory),
-            links=loops.links,
+            links=(*loops.links, *loops.steps),
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
             min_similarity=loop_closer.min_similarity,
@@ -211,6 +263,7 @@ class Slam:
             stage_seconds=dict(self.clock.seconds),
             warnings=(
                 *left_out,
+                *(result_of_given.sentences if result_of_given else ()),
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
@@ -222,12 +275,29 @@ class Slam:
             session_starts_s=np.array(self._session_starts_s),
             elapsed_s=self.clock.elapsed_s,
             unsmoothed=trajectory if self._is_smoothed else None,
+            given=result_of_given,
         )
+
+    def _live(self, T_world_kf: FloatArray) -> Trajectory:
+        """Return where the placed frames were thought to be, in the world, when they came."""
+        corrections = self._back_end.corrections
+        T_given_cam = self._external.poses_as_asked(self._frames.placed_s)
+
+        def T_world_cam(frame: LoggedFrame) -> FloatArray | None:
+            known = bisect_right(corrections, frame.newest_id, key=lambda each: each.newest_id)
+            correction = corrections[known - 1]
+            T_odom_cam = T_given_cam.get(frame.timestamp_s)
+            if T_odom_cam is not None and correction.T_world_given is not None:
+                return correction.T_world_given @ T_odom_cam
+            T_world_odom = correction.T_world_odom.get(frame.segment)
+            return None if T_world_odom is None else T_world_odom @ frame.T_odom_cam
+
+        return self._frames.live(T_world_kf, T_world_cam)
 
     @property
     def _is_smoothed(self) -> bool:
         # An odometry from elsewhere knows best how its camera moves.
-        return self._config.motion.smooth and self._front_end is self._odometry
+        return self._config.motion.smooth and not self._external
 
     def _smoothed(self, trajectory: Trajectory) -> Trajectory:
         if not self._is_smoothed:
@@ -246,7 +316,7 @@ def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> tuple[FloatArray, Flo
 
     def adjusted(T_start_kf: FloatArray, pairs: list[tuple[int, int]]) -> FloatArray:
         T_world_kf = T_start_kf.copy()
-        final = adjust_with_loops(the_map, placed, T_start_kf[placed], pairs)
+        final = adjust_with_loops(the_map, placed, T_start_kf[placed], pairs, loops.steps)
         T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
         return T_world_kf
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slam.external_odometry.trust import GivenKeyframe, Trust, judge
 from slam.geometry import se3
-from slam.loops.submaps import Loop, Submap, joined, submap_of
+from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
 
@@ -23,12 +24,15 @@ class Correction:
         T_world_kf: (4, 4) by keyframe id; those are missing that are not joined to the largest part
             of the map.
         T_world_odom: (4, 4) by segment, what corrects the odometry where it is now.
+        T_world_given: (4, 4), what corrects an odometry from elsewhere; None where there is none,
+            or the images contradict it, and then tracking is followed.
     """
 
     version: int
     newest_id: int
     T_world_kf: Mapping[int, FloatArray]
     T_world_odom: Mapping[int, FloatArray]
+    T_world_given: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -40,12 +44,16 @@ class LargestSubmap:
         unjoined: per key of a loop in or to another submap, at how many places loops join that.
         T_odom_kf: (4, 4) by keyframe id, what the odometry had made of its keyframes then.
         segment_of: by keyframe id.
+        trust: what the images say of an odometry from elsewhere, None where there is none.
+        T_given_kf: (4, 4) by keyframe id, where that has its keyframes.
     """
 
     graph: PoseGraph
     unjoined: dict[int, int]
     T_odom_kf: dict[int, FloatArray]
     segment_of: dict[int, int]
+    trust: Trust | None
+    T_given_kf: dict[int, FloatArray]
 
     def correction(self, version: int, newest_id: int, solution: GraphSolution) -> Correction:
         """Return what a solution of the graph says of the odometry."""
@@ -54,7 +62,11 @@ class LargestSubmap:
             segment: solution.T_world_kf[k] @ se3.inverse(self.T_odom_kf[k])
             for segment, k in newest_of.items()
         }
-        return Correction(version, newest_id, solution.T_world_kf, T_world_odom)
+        T_world_given = None
+        if self.trust and self.trust.is_followed and self.T_given_kf:
+            k = max(self.T_given_kf)
+            T_world_given = solution.T_world_kf[k] @ se3.inverse(self.T_given_kf[k])
+        return Correction(version, newest_id, solution.T_world_kf, T_world_odom, T_world_given)
 
 
 class Atlas:
@@ -64,6 +76,9 @@ class Atlas:
     follows from where the odometry has them now. So the graph never contradicts the map. Segments
     that loops join get one graph together, in which the loops between them are doubted as any other
     loop is.
+
+    Attributes:
+        loops: how many loops there are, per segment of their later keyframe.
     """
 
     def __init__(self) -> None:
@@ -71,11 +86,8 @@ class Atlas:
         self._T_odom_kf: list[FloatArray] = []
         self._links: list[Link] = []
         self._loops: dict[int, Loop] = {}
-
-    @property
-    def loops(self) -> Counter[int]:
-        """How many loops there are, per segment of their later keyframe."""
-        return Counter(self._keyframes[loop.query_id].segment for loop in self._loops.values())
+        self._given: dict[int, GivenKeyframe] = {}
+        self.loops: Counter[int] = Counter()
 
     def add(
         self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]
@@ -89,6 +101,11 @@ class Atlas:
                 points_ref_m = seen.points_ref_m[seen.inlier_mask]
                 loop = Loop.of(attempt.match_id, attempt.query_id, attempt.outcome, points_ref_m)
                 self._loops[key] = loop
+                self.loops[keyframe.segment] += 1
+
+    def give(self, given: Mapping[int, GivenKeyframe]) -> None:
+        """Take where an odometry from elsewhere has keyframes, by id."""
+        self._given.update(given)
 
     def move(self, T_odom_kf: Mapping[int, FloatArray]) -> None:
         """Take (4, 4) poses by keyframe id for where the odometry has these keyframes now."""
@@ -100,7 +117,9 @@ class Atlas:
 
         Default: one frame of each.
         """
-        submaps = self._submaps()
+        trust = self._trust()
+        steps = trust.steps if trust else ()
+        submaps = self._submaps(steps)
         largest = max(submaps, key=lambda submap: submap.size(frames))
         T_world_submap = se3.inverse(largest.T_submap_kf[largest.first])
         loops = {
@@ -108,19 +127,29 @@ class Atlas:
             for key, loop in self._loops.items()
             if loop.ref_id in largest.T_submap_kf and loop.query_id in largest.T_submap_kf
         }
+        inside = largest.T_submap_kf
         graph = PoseGraph(
-            {k: T_world_submap @ T for k, T in largest.T_submap_kf.items()},
+            {k: T_world_submap @ T for k, T in inside.items()},
             tuple(largest.links),
             _shared_out(loops),
+            tuple(each for each in steps if each.ref_id in inside and each.query_id in inside),
         )
         return LargestSubmap(
             graph,
             self._unjoined(submaps, largest),
-            {k: self._T_odom_kf[k] for k in largest.T_submap_kf},
-            {k: self._keyframes[k].segment for k in largest.T_submap_kf},
+            {k: self._T_odom_kf[k] for k in inside},
+            {k: self._keyframes[k].segment for k in inside},
+            trust,
+            {k: each.T_given_cam for k, each in self._given.items() if k in inside},
         )
 
-    def _submaps(self) -> list[Submap]:
+    def _trust(self) -> Trust | None:
+        if not self._given:
+            return None
+        stamps_s = {each.id: each.timestamp_s for each in self._keyframes}
+        return judge([*self._links, *self._loops.values()], self._given, stamps_s)
+
+    def _submaps(self, steps: Sequence[Link]) -> list[Submap]:
         submaps: dict[int, Submap] = {}
         for keyframe in self._keyframes:
             submap = submaps.setdefault(keyframe.segment, Submap({}, []))
@@ -130,7 +159,7 @@ class Atlas:
             motion = replace(link.motion, T_ref_query=se3.inverse(T_odom_ref) @ T_odom_query)
             segment = self._keyframes[link.ref_id].segment
             submaps[segment].links.append(replace(link, motion=motion))
-        return joined(list(submaps.values()), self._loops.values())
+        return joined(joined_by_steps(list(submaps.values()), steps), self._loops.values())
 
     def _unjoined(self, submaps: Sequence[Submap], largest: Submap) -> dict[int, int]:
         """Return per loop not within the largest at how many places its submap is tied to that."""

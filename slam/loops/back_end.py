@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
+from slam.external_odometry.trust import GivenKeyframe, Trust
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, Correction, LargestSubmap
 from slam.loops.loop_closure import LoopCloser
@@ -33,6 +34,8 @@ _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and 
 # On the way, loops of a segment wait until there are this share more of them than the last
 # correction knew: the cost per segment then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
+# An odometry from elsewhere is judged without a loop too, every so many keyframes.
+_GIVEN_EVERY = 10
 
 
 @dataclass(frozen=True)
@@ -41,10 +44,12 @@ class ClosedLoops:
 
     Attributes:
         T_world_kf: (K, 4, 4), NaN where no loops join a keyframe's submap to the largest.
-        T_world_kf_without: (K, 4, 4), the same by the odometry alone, whose segments are laid
-            where loops join them.
+        T_world_kf_without: (K, 4, 4), the same by the odometry alone, and one from elsewhere if
+            there is one, with segments laid where loops join them.
         attempts: every loop candidate, with its final weight.
         links: the motions that are no loops, of the keyframes that have a place.
+        trust: what the images say of an odometry from elsewhere, None where there is none.
+        steps: what that measured, as far as it is believed, of the same keyframes.
         warnings: one sentence each.
     """
 
@@ -53,6 +58,8 @@ class ClosedLoops:
     attempts: tuple[LoopAttempt, ...]
     links: tuple[Link, ...]
     warnings: tuple[str, ...]
+    trust: Trust | None = None
+    steps: tuple[Link, ...] = ()
 
 
 class BackEnd:
@@ -96,19 +103,24 @@ class BackEnd:
         links: tuple[Link, ...],
         moved: Mapping[int, FloatArray],
         rgb: NDArray[np.uint8],
+        given: GivenKeyframe | None = None,
     ) -> None:
         """Queue a keyframe, and where others were moved to; wait for the oldest of a full queue.
+
+        An odometry from elsewhere may have it too.
 
         Raises:
             RecognizerError: the recognizer failed on one before; those until then are in the graph.
         """
         if self.is_empty:  # its camera is where the world begins
             T_world_odom = {keyframe.segment: se3.inverse(keyframe.T_odom_cam)}
-            self.corrections = [Correction(0, -1, {}, T_world_odom)]
+            T_world_given = se3.inverse(given.T_given_cam) if given else None
+            self.corrections = [Correction(0, -1, {}, T_world_odom, T_world_given)]
         if len(self._queue) == _MAX_QUEUED:
             self._next_result()
         # A copy: cameras reuse their memory.
-        self._queue.append(self._thread.submit(self._take, keyframe, links, moved, rgb.copy()))
+        job = self._thread.submit(self._take, keyframe, links, moved, rgb.copy(), given)
+        self._queue.append(job)
 
     def recognize(self, rgb: NDArray[np.uint8], but_segment: int | None = None) -> list[int]:
         """Return the keyframes, of all that were queued, that look like an image, best first.
@@ -143,12 +155,16 @@ class BackEnd:
             self._solving.pop(0).result()
 
     def solve(
-        self, T_odom_kf: Mapping[int, FloatArray], frames: Mapping[int, int] | None = None
+        self,
+        T_odom_kf: Mapping[int, FloatArray],
+        frames: Mapping[int, int] | None = None,
+        given: Mapping[int, GivenKeyframe] | None = None,
     ) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
 
-        T_odom_kf has the (4, 4) poses, by keyframe id, that the odometry still changed. The largest
-        submap is that with the most frames per keyframe id; default: one of each.
+        T_odom_kf has the (4, 4) poses, by keyframe id, that the odometry still changed; given, what
+        is better known now of one from elsewhere. The largest submap is that with the most frames
+        per keyframe id; default: one of each.
 
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
@@ -156,8 +172,11 @@ class BackEnd:
         self.catch_up()
         with self._clock.stage("graph"):
             self._atlas.move(T_odom_kf)
+            self._atlas.give(given or {})
             largest = self._atlas.largest(frames)
-            solution = solve(largest.graph, self._inlier_probability)
+            graph = largest.graph
+            solution = solve(graph, self._inlier_probability)
+            without = solve(replace(graph, loops={}), self._inlier_probability)
         attempts = tuple(
             _in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
             for key, attempt in enumerate(self._attempts)
@@ -165,10 +184,10 @@ class BackEnd:
         T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)
         T_start_kf = T_world_kf.copy()
         for k, T in solution.T_world_kf.items():
-            T_world_kf[k], T_start_kf[k] = T, largest.graph.T_world_kf[k]
-        links = tuple(largest.graph.links)
+            T_world_kf[k], T_start_kf[k] = T, without.T_world_kf[k]
+        links, steps = tuple(graph.links), tuple(graph.steps)
         warnings = (*solution.warnings, *refusals(attempts))
-        return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings)
+        return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings, largest.trust, steps)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes are, -1 to 1."""
@@ -195,6 +214,7 @@ class BackEnd:
         links: tuple[Link, ...],
         moved: Mapping[int, FloatArray],
         rgb: NDArray[np.uint8],
+        given: GivenKeyframe | None,
     ) -> tuple[LoopAttempt, ...]:
         if self._failure:
             raise self._failure
@@ -209,11 +229,14 @@ class BackEnd:
             raise
         self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
         self._atlas.move(moved)
+        if given:
+            self._atlas.give({keyframe.id: given})
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
         loops, solved = self._atlas.loops, self._solved_loops[keyframe.segment]
-        if loops[keyframe.segment] - solved > _LOOP_GROWTH * solved:
-            self._solved_loops = loops
+        is_due = given is not None and keyframe.id % _GIVEN_EVERY == _GIVEN_EVERY - 1
+        if is_due or loops[keyframe.segment] - solved > _LOOP_GROWTH * solved:
+            self._solved_loops = loops.copy()
             largest = self._atlas.largest()
             self._solving.append(self._solver.submit(self._correct, keyframe.id, largest))
         return attempts

@@ -23,6 +23,8 @@ loops that a poster and its twin make agree, wherever the camera stands.
 # more than 14 cm or 7 degrees: those were blurred views, not other places.
 _AGREE_M, _AGREE_RAD = 0.10, np.radians(5.0)
 _HYPOTHESES = 200  # of more loops between two submaps so many are tried, and all of them vote
+# A step of another odometry joins two submaps alone where it is known better than this.
+_CERTAIN_M, _CERTAIN_RAD = 0.3, np.radians(15.0)
 _NEXT_TO_NOTHING = np.eye(6)  # of information: 1 rad, 1 m
 
 
@@ -100,6 +102,33 @@ def joined(submaps: Sequence[Submap], loops: Iterable[Loop]) -> list[Submap]:
             break
         submaps[i] = _union(submaps[i], submaps.pop(j), join)
     return submaps
+
+
+def joined_by_steps(submaps: Sequence[Submap], steps: Iterable[Link]) -> list[Submap]:
+    """Join submaps that an odometry from elsewhere went between, while the images showed nothing.
+
+    Steps that are too uncertain leave it to the loops. What joins has next to no information: the
+    step itself is a motion of the graph.
+    """
+    submaps = list(submaps)
+    for step in steps:
+        number_of = submap_of(submaps)
+        i, j = number_of[step.ref_id], number_of[step.query_id]
+        if i == j or not _is_certain(step):
+            continue
+        a, b, T_a_b = step.ref_id, step.query_id, step.motion.T_ref_query
+        if j < i:
+            i, j, a, b, T_a_b = j, i, b, a, se3.inverse(T_a_b)
+        later = submaps.pop(j)
+        T_a_first = T_a_b @ se3.inverse(later.T_submap_kf[b]) @ later.T_submap_kf[later.first]
+        join = Link(a, later.first, RelativePose(T_a_first, _NEXT_TO_NOTHING))
+        submaps[i] = _union(submaps[i], later, join)
+    return submaps
+
+
+def _is_certain(step: Link) -> bool:
+    variance = np.diag(np.linalg.inv(step.motion.information))
+    return bool(variance[:3].max() < _CERTAIN_RAD**2 and variance[3:].max() < _CERTAIN_M**2)
 
 
 def _between(submaps: Sequence[Submap], loops: Iterable[Loop]) -> dict[tuple[int, int], list[Loop]]:

@@ -2,7 +2,8 @@
 """Bundle adjustment: poses and points that together explain what all cameras measured.
 
 Levenberg-Marquardt on the camera poses alone: the points are eliminated (Schur complement), all
-of them at once, as each is 3x3.
+of them at once, as each is 3x3. What else is known of the motion from one camera to another, by an
+odometry from elsewhere say, is one more measurement of the two.
 """
 
 from dataclasses import dataclass, replace
@@ -23,6 +24,27 @@ _TRACE = 1e-9
 
 
 @dataclass(frozen=True)
+class Motions:
+    """Motions between cameras that something other than the points has measured.
+
+    Attributes:
+        ref_of, query_of: (M,) int, the two cameras of each.
+        T_ref_query: (M, 4, 4).
+        information: (M, 6, 6), of a tangent [rotation; translation] on the right.
+    """
+
+    ref_of: IntArray
+    query_of: IntArray
+    T_ref_query: FloatArray
+    information: FloatArray
+
+
+NO_MOTIONS = Motions(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4, 4)), np.zeros((0, 6, 6))
+)
+
+
+@dataclass(frozen=True)
 class Bundle:
     """Cameras, points, and the observations of one by the other.
 
@@ -33,6 +55,7 @@ class Bundle:
         camera_of, point_of: (O,) int, the camera and the point of each observation; the points
             in increasing order.
         measured: the O observations.
+        motions: what else is known of the cameras.
     """
 
     T_world_cam: FloatArray
@@ -41,6 +64,7 @@ class Bundle:
     camera_of: IntArray
     point_of: IntArray
     measured: Observations
+    motions: Motions = NO_MOTIONS
 
     def select(self, mask: NDArray[np.bool_]) -> "Bundle":
         """Keep some of the observations, by an (O,) mask."""
@@ -99,6 +123,9 @@ class _Structure:
         self._column = np.searchsorted(self.free, bundle.camera_of[self._of_free])
         self._point_of = bundle.point_of[self._of_free]
         self._row_starts = np.searchsorted(self._point_of, np.arange(points + 1))
+        ends = (bundle.motions.ref_of, bundle.motions.query_of)
+        self._both_free = np.flatnonzero(~bundle.is_fixed[ends[0]] & ~bundle.is_fixed[ends[1]])
+        self._ends = [np.searchsorted(self.free, end[self._both_free]) for end in ends]
 
     def blocks(self, W: FloatArray, by_point: FloatArray | None = None) -> scipy.sparse.bsr_array:
         """Return (O, 3, 6) blocks, those of free cameras, as a (3 P, 6 F) matrix.
@@ -111,6 +138,17 @@ class _Structure:
         shape = (3 * (len(self._row_starts) - 1), 6 * len(self.free))
         return scipy.sparse.bsr_array((blocks, self._column, self._row_starts), shape=shape)
 
+    def ties(self, H_motion: FloatArray) -> scipy.sparse.csr_array:
+        """Return (M, 6, 6) blocks and their transposes, those of free cameras, as (6 F, 6 F)."""
+        blocks, (ref, query) = H_motion[self._both_free], self._ends
+        blocks = np.concatenate([blocks, blocks.transpose(0, 2, 1)])
+        rows, columns = np.concatenate([ref, query]), np.concatenate([query, ref])
+        inner = np.arange(6)
+        i = np.broadcast_to(6 * rows[:, None, None] + inner[:, None], blocks.shape)
+        j = np.broadcast_to(6 * columns[:, None, None] + inner, blocks.shape)
+        entries = (blocks.ravel(), (i.ravel(), j.ravel()))
+        return scipy.sparse.csr_array(entries, shape=(6 * len(self.free), 6 * len(self.free)))
+
 
 @dataclass(frozen=True)
 class _Misfit:
@@ -119,6 +157,7 @@ class _Misfit:
     residuals: FloatArray  # (3, O), whitened, weighted
     by_point: FloatArray  # (3, 3, O), their derivative by the point in the camera's frame
     points_cam_m: FloatArray  # (3, O)
+    motions: FloatArray  # (M, 6), how far those of the cameras are off, as a tangent
     cost: float  # of all together
 
 
@@ -131,6 +170,7 @@ class _System:
     H_point: FloatArray  # (P, 3, 3)
     g_point: FloatArray  # (P, 3)
     W: FloatArray  # (O, 3, 6), point by camera, per observation
+    H_motion: FloatArray  # (M, 6, 6), reference by query camera, per motion
 
 
 def _points_in_cameras(bundle: Bundle) -> FloatArray:
@@ -144,12 +184,21 @@ def _misfit(bundle: Bundle, camera: Camera) -> _Misfit:
     points_cam_m = _points_in_cameras(bundle)
     residuals, by_point = bundle.measured.residuals(points_cam_m, camera)
     roots = np.sqrt(robust_weights(residuals))
+    motions, errors = bundle.motions, _motion_errors(bundle)
+    chi_square = np.einsum("mi,mij,mj->", errors, motions.information, errors)
     return _Misfit(
         residuals=_observations_last(roots * residuals),
         by_point=_observations_last(roots[:, :, None] * by_point),
         points_cam_m=_observations_last(points_cam_m),
-        cost=float(robust_costs(residuals).sum()),
+        motions=errors,
+        cost=float(robust_costs(residuals).sum() + 0.5 * chi_square),
     )
+
+
+def _motion_errors(bundle: Bundle) -> FloatArray:
+    motions, T_world_cam = bundle.motions, bundle.T_world_cam
+    T_ref_query = se3.inverse(T_world_cam[motions.ref_of]) @ T_world_cam[motions.query_of]
+    return se3.log(se3.inverse(motions.T_ref_query) @ T_ref_query)
 
 
 def _observations_last(values: FloatArray) -> FloatArray:
@@ -163,13 +212,32 @@ def _linearise(bundle: Bundle, misfit: _Misfit, structure: _Structure) -> _Syste
     R_world_cam = _observations_last(bundle.T_world_cam[bundle.camera_of, :3, :3])
     J_cam = np.concatenate([np.cross(A, misfit.points_cam_m[None], axis=1), -A], axis=1)
     J_point = np.einsum("rio,jio->rjo", A, R_world_cam)
+    H_cam = _added(structure.by_camera, np.einsum("rio,rjo->oij", J_cam, J_cam))
+    g_cam = _added(structure.by_camera, np.einsum("rio,ro->oi", J_cam, r))
     return _System(
-        H_cam=_added(structure.by_camera, np.einsum("rio,rjo->oij", J_cam, J_cam)),
-        g_cam=_added(structure.by_camera, np.einsum("rio,ro->oi", J_cam, r)),
+        H_motion=_add_motions(bundle, misfit.motions, H_cam, g_cam),
+        H_cam=H_cam,
+        g_cam=g_cam,
         H_point=_added(structure.by_point, np.einsum("rio,rjo->oij", J_point, J_point)),
         g_point=_added(structure.by_point, np.einsum("rio,ro->oi", J_point, r)),
         W=np.einsum("rio,rjo->oij", J_point, J_cam),
     )
+
+
+def _add_motions(
+    bundle: Bundle, errors: FloatArray, H_cam: FloatArray, g_cam: FloatArray
+) -> FloatArray:
+    """Add (M, 6) errors of motions to the cameras' equations; return what ties two cameras."""
+    motions, T_world_cam = bundle.motions, bundle.T_world_cam
+    # log(exp(e) exp(xi)) is e + xi to first order, and more exactly with half their bracket.
+    by_query = np.eye(6) + 0.5 * se3.small_adjoint(errors)
+    T_query_ref = se3.inverse(T_world_cam[motions.query_of]) @ T_world_cam[motions.ref_of]
+    by_ref = -by_query @ se3.adjoint(T_query_ref)
+    for camera_of, J in ((motions.ref_of, by_ref), (motions.query_of, by_query)):
+        weighted = J.transpose(0, 2, 1) @ motions.information
+        np.add.at(H_cam, camera_of, weighted @ J)
+        np.add.at(g_cam, camera_of, np.einsum("mij,mj->mi", weighted, errors))
+    return np.asarray(by_ref.transpose(0, 2, 1) @ motions.information @ by_query)
 
 
 def _sums(owner_of: IntArray, owners: int) -> scipy.sparse.csr_array:
@@ -193,6 +261,8 @@ def _solve(system: _System, structure: _Structure, damping: float) -> tuple[Floa
     inverse_W = structure.blocks(system.W, H_point_inverse)
     # Two cameras that see the same point are tied through it.
     reduced = (H_cam - W.T @ inverse_W).tocsc()
+    if len(system.H_motion):
+        reduced = (reduced + structure.ties(system.H_motion)).tocsc()
     step_free = -splu(reduced).solve(
         system.g_cam[free].ravel() - inverse_W.T @ system.g_point.ravel()
     )

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.geometry.reprojection import Observations
-from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
+from slam.mapping.bundle_adjustment import Bundle, Motions, adjust, agreeing
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.landmarks import UNSEEN
-from slam.types import Camera, FloatArray, IntArray
+from slam.types import Camera, FloatArray, IntArray, Link
 
 _MIN_OBSERVERS = 2  # a point that one camera alone sees says nothing of where it is
 
@@ -122,21 +122,23 @@ def adjust_with_loops(
     keyframe_ids: Sequence[int],
     T_world_kf: FloatArray,
     loops: Sequence[tuple[int, int]],
+    motions: Sequence[Link] = (),
 ) -> LandmarkMap:
     """Return the map moved to where the pose graph puts it, matched across the loops, and adjusted.
 
     It is a copy, in which K keyframes start from (K, 4, 4) poses and the others stay as they are.
-    The loops are pairs of keyframe ids that show the same place.
+    The loops are pairs of keyframe ids that show the same place; the motions are what something
+    other than the images says of two keyframes.
     """
     final = the_map.copy()
     final.move_keyframes(keyframe_ids, T_world_kf)
     for match_id, query_id in loops:
         _match_again(final, query_id, match_id, _LOOP_COVISIBLE, _LOOP_RADIUS_PX)
         _match_again(final, match_id, query_id, _LOOP_COVISIBLE, _LOOP_RADIUS_PX)
-    _adjust(final, keyframe_ids)
+    _adjust(final, keyframe_ids, motions)
     for k in keyframe_ids:
         _match_again(final, k, k, _ADJUSTED_COVISIBLE, _ADJUSTED_RADIUS_PX)
-    _adjust(final, keyframe_ids)
+    _adjust(final, keyframe_ids, motions)
     return final
 
 
@@ -148,6 +150,19 @@ def _match_again(
     the_map.fuse(k, the_map.seen_by([seen_from, *others]), radius_px)
 
 
-def _adjust(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> None:
+def _adjust(the_map: LandmarkMap, keyframe_ids: Sequence[int], motions: Sequence[Link]) -> None:
     problem = extract_problem(the_map, keyframe_ids, [])
+    if motions:
+        bundle = replace(problem.bundle, motions=_between_cameras(keyframe_ids, motions))
+        problem = replace(problem, bundle=bundle)
     write_back(the_map, adjusted(problem, the_map.camera, _ROUNDS))
+
+
+def _between_cameras(keyframe_ids: Sequence[int], motions: Sequence[Link]) -> Motions:
+    camera_of = {k: camera for camera, k in enumerate(keyframe_ids)}
+    return Motions(
+        np.array([camera_of[each.ref_id] for each in motions]),
+        np.array([camera_of[each.query_id] for each in motions]),
+        np.array([each.motion.T_ref_query for each in motions]),
+        np.array([each.motion.information for each in motions]),
+    )

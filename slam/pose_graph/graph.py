@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The graph of keyframes that links and loops connect, and its robust solution."""
+"""The graph of keyframes that links, steps and loops connect, and its robust solution."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,17 +22,19 @@ class PoseGraph:
     """Keyframe poses connected by motions: links are believed, loops have to agree with them.
 
     The links say how well the odometry knows what it made of the keyframes, so they fit the poses
-    that the graph begins with: without a loop that is its solution.
+    that the graph begins with: without a loop or a step that is its solution.
 
     Attributes:
         T_world_kf: (4, 4) by keyframe id, where the odometry has them; the first one stays.
         links: they connect all keyframes.
         loops: by a key that their weight is found by.
+        steps: what an odometry from elsewhere measured, believed as the links are.
     """
 
     T_world_kf: Mapping[int, FloatArray]
     links: Sequence[Link]
     loops: Mapping[int, Link]
+    steps: Sequence[Link] = ()
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,11 @@ class GraphSolution:
 
 def solve(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     """Weigh all loops against the links and each other, and say what there is to doubt."""
-    if not graph.loops:
+    if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
     initial, believed = _believed(graph)
+    if not graph.loops:
+        return GraphSolution(_poses(optimize(believed, initial), graph), {})
     everything, loops = believed.clone(), [_factor(loop) for loop in graph.loops.values()]
     for loop in loops:
         everything.add(loop)
@@ -68,10 +72,14 @@ def solve(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
             believed.add(loop)
     values = optimize(believed, solution.values)
     return GraphSolution(
-        {k: np.asarray(values.atPose3(k).matrix(), np.float64) for k in graph.T_world_kf},
+        _poses(values, graph),
         dict(zip(graph.loops, weights.tolist(), strict=True)),
         doubts(weights > MIN_TRUSTED_WEIGHT, contested),
     )
+
+
+def _poses(values: gtsam.Values, graph: PoseGraph) -> dict[int, FloatArray]:
+    return {k: np.asarray(values.atPose3(k).matrix(), np.float64) for k in graph.T_world_kf}
 
 
 def _believed(graph: PoseGraph) -> tuple[gtsam.Values, gtsam.NonlinearFactorGraph]:
@@ -81,7 +89,7 @@ def _believed(graph: PoseGraph) -> tuple[gtsam.Values, gtsam.NonlinearFactorGrap
         if not factors.size():
             factors.add(gtsam.PriorFactorPose3(k, gtsam.Pose3(T_world_kf), _ANCHOR_NOISE))
         initial.insert(k, gtsam.Pose3(T_world_kf))
-    for link in graph.links:
+    for link in (*graph.links, *graph.steps):
         factors.add(_factor(link))
     return initial, factors
 

@@ -23,26 +23,26 @@ _ANCHOR_INFORMATION = 1e8
 
 def solve_beside(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     """Return about what `solve` would, without its warnings, and let other threads run."""
-    if not graph.loops:
+    if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
     system = _System(graph)
     limit = float(chi2.ppf(inlier_probability, 6))
-    T, count = system.T_start, len(graph.loops)
-    squared = system.squared_errors(T)[-count:]
+    T, first = system.T_start, len(graph.links) + len(graph.steps)
+    squared = system.squared_errors(T)[first:]
     # Convex at first, where no loop has a say beyond its limit; then step by step what it should be
     # (Yang et al. 2020, truncated least squares).
-    convexity = 1.0 / max(2.0 * float(squared.max()) / limit - 1.0, 1e-6)
+    convexity = 1.0 / max(2.0 * float(squared.max(initial=0.0)) / limit - 1.0, 1e-6)
     for _ in range(_MOST_ROUNDS):
         weights = _weights(squared, limit, convexity)
         T = system.step(T, weights)
-        squared = system.squared_errors(T)[-count:]
+        squared = system.squared_errors(T)[first:]
         if ((weights < 1e-3) | (weights > 1.0 - 1e-3)).all():
             break
         convexity *= _CONVEXITY_STEP
     for _ in range(_POLISH_STEPS):
         weights = np.where(squared < limit, 1.0, 0.0)
         T = system.step(T, weights)
-        squared = system.squared_errors(T)[-count:]
+        squared = system.squared_errors(T)[first:]
     return GraphSolution(
         dict(zip(graph.T_world_kf, T, strict=True)),
         dict(zip(graph.loops, np.where(squared < limit, 1.0, 0.0).tolist(), strict=True)),
@@ -56,11 +56,11 @@ def _weights(squared: FloatArray, limit: float, convexity: float) -> FloatArray:
 
 
 class _System:
-    """The motions of a graph as arrays, links first, and its normal equations."""
+    """The motions of a graph as arrays, loops last, and its normal equations."""
 
     def __init__(self, graph: PoseGraph) -> None:
         row_of = {k: row for row, k in enumerate(graph.T_world_kf)}
-        motions = [*graph.links, *graph.loops.values()]
+        motions = [*graph.links, *graph.steps, *graph.loops.values()]
         self.T_start = np.array(list(graph.T_world_kf.values()))
         self._ref: IntArray = np.array([row_of[each.ref_id] for each in motions])
         self._query: IntArray = np.array([row_of[each.query_id] for each in motions])

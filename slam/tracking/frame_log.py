@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.external_odometry.given_poses import poses_between
 from slam.geometry import se3
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
@@ -36,33 +37,29 @@ def check_frame(frame: Frame, camera: Camera, last_s: float) -> None:
         )
 
 
-def checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
-    """Return a copy of a pose, since callers reuse their matrix.
+class LoggedFrame(NamedTuple):
+    """A frame that was placed against a keyframe.
 
-    Raises:
-        SlamError: it is not a rigid (4, 4) transform.
+    Attributes:
+        timestamp_s: seconds.
+        keyframe_id: the keyframe, itself where it became one.
+        T_kf_cam: (4, 4), in the keyframe's camera frame.
+        segment: the keyframe's.
+        T_odom_cam: (4, 4), as it was known when the frame was tracked.
+        newest_id: the newest keyframe then.
+        T_ref_cam: (4, 4) motions of a new keyframe by the id of the other one.
     """
-    T = np.array(T_odom_cam, dtype=np.float64)
-    is_affine = T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])
-    R = T[:3, :3] if is_affine else np.zeros((3, 3))
-    if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0):
-        raise SlamError(
-            f"the pose at {timestamp_s:.6f} s is not a rigid (4, 4) transform T_odom_cam"
-        )
-    return T
 
-
-class _LoggedFrame(NamedTuple):
     timestamp_s: float
     keyframe_id: int
     T_kf_cam: FloatArray
     segment: int
-    T_odom_cam: FloatArray  # as it was known when the frame was tracked
-    newest_id: int  # the newest keyframe then
-    T_ref_cam: dict[int, FloatArray]  # a new keyframe's links, by the id of the other keyframe
+    T_odom_cam: FloatArray
+    newest_id: int
+    T_ref_cam: dict[int, FloatArray]
 
 
-def _shared_bend(frames: Sequence[_LoggedFrame], T_any_kf: FloatArray) -> FloatArray | None:
+def _shared_bend(frames: Sequence[LoggedFrame], T_any_kf: FloatArray) -> FloatArray | None:
     """Return (N - 2, 4, 4), the frames after a keyframe, bent towards the last, the next one.
 
     None where there is no bend to share: frames in between were placed against another keyframe, or
@@ -80,11 +77,29 @@ def _shared_bend(frames: Sequence[_LoggedFrame], T_any_kf: FloatArray) -> FloatA
     return np.asarray(T_any_end @ se3.exp(share[1:-1, None] * bend) @ T_end_cam)
 
 
+def _along(
+    frame: LoggedFrame, T_given_cam: FloatArray, T_given_kf: FloatArray, doubted: Sequence[int]
+) -> LoggedFrame:
+    """Return a frame placed as an odometry has it that has keyframes at (K, 4, 4) poses."""
+    k = frame.newest_id
+    if frame.keyframe_id != k or k >= len(T_given_kf):
+        return frame
+    is_keyframe = np.array_equal(frame.T_kf_cam, np.eye(4))
+    if is_keyframe and k and k not in doubted:
+        T_before_kf = se3.inverse(T_given_kf[k - 1]) @ T_given_kf[k]
+        if np.isfinite(T_before_kf).all():
+            return frame._replace(T_ref_cam={**frame.T_ref_cam, k - 1: T_before_kf})
+    T_kf_cam = se3.inverse(T_given_kf[k]) @ T_given_cam
+    if is_keyframe or k + 1 in doubted or not np.isfinite(T_kf_cam).all():
+        return frame
+    return frame._replace(T_kf_cam=T_kf_cam)
+
+
 class FrameLog:
     """Every frame of a run: placed against a keyframe, or lost."""
 
     def __init__(self) -> None:
-        self._frames: list[_LoggedFrame] = []
+        self._frames: list[LoggedFrame] = []
         self._lost_s: list[float] = []
 
     def add(self, timestamp_s: float, tracked: TrackedFrame) -> None:
@@ -93,7 +108,7 @@ class FrameLog:
         if tracked.new_keyframe:
             newest_id = tracked.new_keyframe.id
         self._frames.append(
-            _LoggedFrame(
+            LoggedFrame(
                 timestamp_s,
                 tracked.keyframe_id,
                 tracked.T_kf_cam,
@@ -108,6 +123,11 @@ class FrameLog:
     def segment(self) -> int | None:
         """The segment of the last frame that was placed, None before there is one."""
         return self._frames[-1].segment if self._frames else None
+
+    @property
+    def T_odom_last(self) -> FloatArray:
+        """(4, 4) where the odometry had the last frame that was placed."""
+        return self._frames[-1].T_odom_cam
 
     def lose(self, timestamp_s: float) -> None:
         """Remember a frame that could not be placed."""
@@ -136,20 +156,54 @@ class FrameLog:
         return Trajectory(np.array([frame.timestamp_s for frame in frames]), T_any_cam)
 
     def live(
-        self, T_any_kf: FloatArray, T_any_segment: Callable[[int, int], FloatArray | None]
+        self, T_any_kf: FloatArray, T_any_cam: Callable[[LoggedFrame], FloatArray | None]
     ) -> Trajectory:
         """Return the frames that `trajectory` returns, where they were when they were tracked.
 
-        What is called is given a segment and the newest keyframe of then, and tells the (4, 4) pose
-        of the segment's odometry, None where it was not known.
+        What is called tells the (4, 4) pose of a frame, None where it was not known.
         """
         frames = self._on(np.isfinite(T_any_kf[:, 0, 0]))
-        places = [(each, T_any_segment(each.segment, each.newest_id)) for each in frames]
-        known = [(each, T) for each, T in places if T is not None]
+        known = [(each.timestamp_s, T) for each in frames if (T := T_any_cam(each)) is not None]
         return Trajectory(
-            timestamps_s=np.array([each.timestamp_s for each, _ in known]),
-            T_world_cam=np.array([T @ each.T_odom_cam for each, T in known]).reshape(-1, 4, 4),
+            timestamps_s=np.array([timestamp_s for timestamp_s, _ in known]),
+            T_world_cam=np.array([T for _, T in known]).reshape(-1, 4, 4),
         )
+
+    def tracked(self, T_any_kf: FloatArray) -> list[Trajectory]:
+        """Return the same per segment, by the poses of keyframes in a frame of each segment's."""
+        frames = self._on(np.isfinite(T_any_kf[:, 0, 0]))
+        segments = sorted({each.segment for each in frames})
+        of_segment = [[each for each in frames if each.segment == s] for s in segments]
+        return [
+            Trajectory(
+                np.array([each.timestamp_s for each in some]),
+                np.array([T_any_kf[each.keyframe_id] @ each.T_kf_cam for each in some]),
+            )
+            for some in of_segment
+        ]
+
+    def along(
+        self, given: Trajectory, keyframe_s: FloatArray, doubted: Sequence[int]
+    ) -> "FrameLog":
+        """Return the log with frames placed against their keyframes as another odometry has them.
+
+        That has the given camera poses; the keyframes were taken at (K,) times. On the way to a
+        doubted keyframe, and where the odometry has no pose, what was tracked stays.
+        """
+        T_kf = poses_between(given, keyframe_s)
+        T_given_cam = poses_between(given, self.placed_s)
+        followed = FrameLog()
+        followed._lost_s = self._lost_s
+        followed._frames = [
+            _along(frame, T, T_kf, doubted)
+            for frame, T in zip(self._frames, T_given_cam, strict=True)
+        ]
+        return followed
+
+    @property
+    def placed_s(self) -> FloatArray:
+        """(N,) times of the frames that were placed."""
+        return np.array([frame.timestamp_s for frame in self._frames])
 
     def breaks_s(self) -> FloatArray:
         """Return when frames were taken that need not be near the one before.
@@ -195,6 +249,6 @@ class FrameLog:
             )
         return tuple(warnings)
 
-    def _on(self, chosen: NDArray[np.bool_]) -> list[_LoggedFrame]:
+    def _on(self, chosen: NDArray[np.bool_]) -> list[LoggedFrame]:
         """Return the frames whose keyframe is chosen by a (K,) mask; later keyframes are not."""
         return [f for f in self._frames if f.keyframe_id < len(chosen) and chosen[f.keyframe_id]]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -62,6 +63,7 @@ class RgbdOdometry:
         self._worth_a_segment = _WORTH_A_SEGMENT * config.features.count
         self._moved: set[int] = set()  # keyframes that were adjusted since the last new one
         self._segments = 0
+        self._T_given_last: FloatArray | None = None  # where another odometry had the last frame
         self._near: MotionModel | None = None  # around which the local map has gathered landmarks
 
     @property
@@ -73,12 +75,20 @@ class RgbdOdometry:
         """Forget where the camera was: it may be anywhere when the next frame comes."""
         self.settle()
         self._trails.forget()
+        self._T_given_last = None
 
-    def track(self, frame: Frame) -> TrackedFrame | Rejection:
+    def track(
+        self,
+        frame: Frame,
+        T_given_cam: FloatArray | None = None,
+        is_keyframe: bool = False,
+    ) -> TrackedFrame | Rejection:
         """Place a frame, or say why it cannot be placed; later frames are tried all the same.
 
         A frame that shows enough, but nothing of what was seen last or recognized, begins a new
-        segment.
+        segment. Where an odometry from elsewhere has the camera, a (4, 4) pose in a frame of its
+        own, helps to find it again where its motion did not go on. A frame that has to be a
+        keyframe becomes one if it can be placed.
 
         Raises:
             RecognizerError: whoever was asked to recognize the frame failed.
@@ -86,7 +96,7 @@ class RgbdOdometry:
         seen = self._extractor.extract(frame)
         self._move(self._local_map.next_frame())
         if not self._trails:
-            return self._start(View(frame, seen, self._camera))
+            return self._start(View(frame, seen, self._camera), T_given_cam)
         velocity = self._trails.followed.velocity(
             frame.timestamp_s, shortest_s=self._camera.readout_s
         )
@@ -95,8 +105,8 @@ class RgbdOdometry:
             self._trails.miss()
             return rejection
         frame_pose: FramePose | Rejection | None = None
-        if not self._trails.followed.is_cold(frame.timestamp_s):
-            frame_pose = self._follow(view)
+        if expected := self._expected(frame.timestamp_s, T_given_cam):
+            frame_pose = self._follow(view, expected)
         if not isinstance(frame_pose, FramePose):
             frame_pose = self._trails.relocalize(view)
         is_worth_more = view.with_depth >= self._worth_a_segment
@@ -106,9 +116,11 @@ class RgbdOdometry:
         else:
             frame_pose = self._trails.recognize_elsewhere(view) or frame_pose
         if isinstance(frame_pose, FramePose):
-            return self._go_on(*self._straightened_again(view, seen, frame_pose))
+            view, frame_pose = self._straightened_again(view, seen, frame_pose)
+            self._T_given_last = T_given_cam
+            return self._go_on(view, frame_pose, is_keyframe)
         self._trails.miss()
-        return self._start(view) if is_worth_more else frame_pose
+        return self._start(view, T_given_cam) if is_worth_more else frame_pose
 
     def _straightened_again(
         self, view: View, seen: Features, frame_pose: FramePose
@@ -134,7 +146,7 @@ class RgbdOdometry:
         self._moved.update(T_new_old)
         self._trails.move(T_new_old)
 
-    def _start(self, view: View) -> TrackedFrame | Rejection:
+    def _start(self, view: View, T_given_cam: FloatArray | None) -> TrackedFrame | Rejection:
         """Begin a segment whose origin is the view."""
         if view.with_depth < (needed := self._trails.following_config.min_matches):
             return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
@@ -143,18 +155,26 @@ class RgbdOdometry:
         last_s = view.frame.timestamp_s
         self._trails.begin(MotionModel(self._segments, was_lost=was_lost, last_s=last_s))
         self._segments += 1
+        self._T_given_last = T_given_cam
         here = FramePose(np.eye(4), empty_pairs(), np.zeros((6, 6)))
         keyframe = self._insert(view, here, turning_rad_s=0.0)
         return self._placed(keyframe, np.eye(4), keyframe)
 
-    def _follow(self, view: View) -> FramePose | Rejection:
+    def _expected(self, timestamp_s: float, T_given_cam: FloatArray | None) -> list[FloatArray]:
+        """Return where the camera may be by now: by its last motion, and by another odometry."""
+        model = self._trails.followed
+        expected = [] if model.is_cold(timestamp_s) else [model.predict(timestamp_s)]
+        if T_given_cam is not None and self._T_given_last is not None:
+            expected.append(model.T_odom_last @ se3.inverse(self._T_given_last) @ T_given_cam)
+        return expected
+
+    def _follow(self, view: View, expected: Sequence[FloatArray]) -> FramePose | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
         model, config = self._trails.followed, self._trails.following_config
-        T_predicted = model.predict(view.frame.timestamp_s)
         last_ids = self.map.landmarks.resolve(model.last_ids)
         last_ids = np.unique(last_ids[last_ids != UNSEEN])
         best: FramePose | None = None
-        for radius_px in _PREDICTED_RADII_PX:
+        for radius_px, T_predicted in product(_PREDICTED_RADII_PX, expected):
             pairs = self.map.search(view.grid, T_predicted, last_ids, radius_px)
             agreed = agreed_pose(self.map, view, pairs, config)
             if isinstance(agreed, Rejection):
@@ -175,7 +195,7 @@ class RgbdOdometry:
         is_better = isinstance(found, FramePose) and len(found.pairs) > len(best.pairs)
         return found if is_better else best
 
-    def _go_on(self, view: View, frame_pose: FramePose) -> TrackedFrame:
+    def _go_on(self, view: View, frame_pose: FramePose, is_keyframe: bool) -> TrackedFrame:
         """Remember where the camera is and how it moves; make the view a keyframe if need be."""
         model = self._trails.followed
         reference = model.recent[-1]
@@ -183,7 +203,7 @@ class RgbdOdometry:
         model.last_ids = frame_pose.pairs[:, 0]
         model.usual_inliers = len(frame_pose.pairs)
         T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ frame_pose.T_map_cam
-        if not self._needs_keyframe(frame_pose, T_kf_cam):
+        if not self._needs_keyframe(frame_pose, T_kf_cam) and not is_keyframe:
             return self._placed(reference, T_kf_cam)
         if moved := self._local_map.settle():
             self._move(moved)

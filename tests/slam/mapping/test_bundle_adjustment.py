@@ -7,7 +7,7 @@ import pytest
 
 from slam.geometry import reprojection, se3
 from slam.geometry.reprojection import Observations
-from slam.mapping.bundle_adjustment import Bundle, adjust, agreeing
+from slam.mapping.bundle_adjustment import Bundle, Motions, adjust, agreeing
 
 
 def bundle_of(scene, fixed=1):
@@ -127,3 +127,37 @@ def test_the_same_bundle_gives_the_same_bits(make_scene):
     scene = make_scene(noise=0.5)
     one, other = (adjust(shaken(bundle_of(scene)), scene.camera, 5) for _ in range(2))
     np.testing.assert_array_equal(one.T_world_cam, other.T_world_cam)
+
+
+def motions_of(T_world_cam, sigma):
+    first, second = np.arange(len(T_world_cam) - 1), np.arange(1, len(T_world_cam))
+    return Motions(
+        first,
+        second,
+        se3.inverse(T_world_cam[first]) @ T_world_cam[second],
+        np.tile(np.eye(6) / sigma**2, (len(first), 1, 1)),
+    )
+
+
+def test_motions_known_for_certain_are_kept_and_the_points_follow(make_scene):
+    scene = make_scene(noise=0.8)
+    bundle = bundle_of(scene)
+    alone = adjust(shaken(bundle), scene.camera, 50)
+    known = replace(shaken(bundle), motions=motions_of(scene.T_world_cam, 1e-6))
+    found = adjust(known, scene.camera, 50)
+    off_m, off_alone_m = (
+        np.abs(each.T_world_cam - scene.T_world_cam)[:, :3, 3].max() for each in (found, alone)
+    )
+    assert off_m < 1e-5 < off_alone_m
+    assert np.median(np.abs(found.points_m - scene.points_m)) < 0.02
+
+
+def test_motions_that_say_next_to_nothing_change_next_to_nothing(make_scene):
+    scene = make_scene(noise=0.8)
+    bundle = bundle_of(scene)
+    wrong = scene.T_world_cam @ se3.exp(
+        np.random.default_rng(0).normal(0, 0.1, (len(scene.T_world_cam), 6))
+    )
+    vague = replace(shaken(bundle), motions=motions_of(wrong, 1e4))
+    found, alone = (adjust(each, scene.camera, 50) for each in (vague, shaken(bundle)))
+    np.testing.assert_allclose(found.T_world_cam, alone.T_world_cam, atol=1e-4)

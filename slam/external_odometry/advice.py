@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to tell the user of an odometry from elsewhere: a sentence each, with the number to use."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.config import OdometryConfig
+from slam.external_odometry.calibration import Calibration
+from slam.external_odometry.conventions import Convention
+from slam.external_odometry.trust import Trust, Verdict
+from slam.geometry import se3
+
+# What is smaller is not worth a word, and less than so many standard deviations may be chance.
+_ROTATION_DEG, _ARM_M, _OFFSET_S, _SCALE = 2.0, 0.03, 0.02, 0.01
+_SIGMAS = 4.0
+_NO_FIT = 0.6  # of the motions left under the best reading
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How given poses are read in the end, and what there is to say of it.
+
+    Attributes:
+        convention: the one to use.
+        sentences: one each.
+        fits: whether the poses have to do with the images at all.
+    """
+
+    convention: Convention
+    sentences: tuple[str, ...] = ()
+    fits: bool = True
+
+
+def asked_convention(config: OdometryConfig) -> Convention:
+    """Return how the settings say that given poses are to be read, what is `auto` left as it is."""
+    T_base_cam = np.eye(4)
+    if isinstance(config.T_base_cam, tuple):
+        tx, ty, tz, *quaternion = config.T_base_cam
+        R = se3.from_quaternion(np.array(quaternion))
+        T_base_cam = se3.from_rotation_translation(R, np.array([tx, ty, tz]))
+    return Convention(
+        T_base_cam,
+        1.0 if config.scale == "auto" else config.scale,
+        0.0 if config.time_offset_s == "auto" else config.time_offset_s,
+        config.inverted,
+        config.w_first,
+    )
+
+
+def read(config: OdometryConfig, found: Calibration | None) -> Reading:
+    """Return how to read the poses, by the settings and by what the images say of them."""
+    asked = asked_convention(config)
+    if found is None:
+        return Reading(asked)
+    if found.misfit > _NO_FIT:
+        return Reading(
+            asked,
+            (
+                "the odometry's poses do not fit the images in whatever way they are read: they are"
+                " of another recording, or of several frames mixed; they were not used",
+            ),
+            fits=False,
+        )
+    best, used, sentences = found.convention, asked, list[str]()
+    is_auto = config.T_base_cam == "auto"
+    if _is_read_otherwise(found, asked):
+        sentences += _of_reading(asked, best, is_auto)
+        if is_auto:
+            used = replace(used, is_inverted=best.is_inverted, is_w_first=best.is_w_first)
+    if _is_of_other_frame(found, asked):
+        sentences.append(_of_frame(found, is_auto))
+        if is_auto:
+            used = replace(used, T_base_cam=best.T_base_cam)
+    if _is_of_other_clock(found, asked):
+        sentences.append(_of_clock(best.time_offset_s, config.time_offset_s == "auto"))
+        if config.time_offset_s == "auto":
+            used = replace(used, time_offset_s=best.time_offset_s)
+    if _is_in_other_units(found, asked):
+        sentences.append(_of_scale(found, config.scale == "auto"))
+        if config.scale == "auto":
+            used = replace(used, scale=best.scale)
+    return Reading(used, tuple(sentences))
+
+
+def _is_read_otherwise(found: Calibration, asked: Convention) -> bool:
+    best = found.convention
+    return (best.is_inverted, best.is_w_first) != (asked.is_inverted, asked.is_w_first)
+
+
+def _is_of_other_clock(found: Calibration, asked: Convention) -> bool:
+    return abs(found.convention.time_offset_s - asked.time_offset_s) > _OFFSET_S
+
+
+def _is_in_other_units(found: Calibration, asked: Convention) -> bool:
+    scale = found.convention.scale
+    limit = max(_SCALE, _SIGMAS * found.scale_sigma / scale)
+    return abs(scale / asked.scale - 1.0) > limit
+
+
+def _is_of_other_frame(found: Calibration, asked: Convention) -> bool:
+    off = se3.inverse(asked.T_base_cam) @ found.convention.T_base_cam
+    turned_deg, moved_m = np.degrees(se3.rotation_angle(off)), float(se3.translation_norm(off))
+    sigma_deg = np.degrees(found.rotation_sigma_rad)
+    return bool(
+        turned_deg > max(_ROTATION_DEG, _SIGMAS * sigma_deg)
+        or moved_m > max(_ARM_M, _SIGMAS * found.arm_sigma_m)
+    )
+
+
+def _of_reading(asked: Convention, best: Convention, is_auto: bool) -> list[str]:
+    done = "; it was applied" if is_auto else ", or --odometry.T-base-cam auto"
+    sentences = []
+    if best.is_inverted != asked.is_inverted:
+        what = (
+            "take the world to the camera" if best.is_inverted else "take the camera to the world"
+        )
+        flag = f"--odometry.inverted {best.is_inverted}"
+        sentences.append(f"the odometry's poses {what}: {flag}{done}")
+    if best.is_w_first != asked.is_w_first:
+        what = "w x y z" if best.is_w_first else "x y z w"
+        flag = f"--odometry.w-first {best.is_w_first}"
+        sentences.append(f"the odometry's quaternions are {what}: {flag}{done}")
+    return sentences
+
+
+def _of_frame(found: Calibration, is_auto: bool) -> str:
+    T = found.convention.T_base_cam
+    numbers = [*T[:3, 3], *se3.to_quaternion(T[:3, :3])]
+    flag = " ".join(f"{value:.4f}" for value in np.array(numbers) + 0.0)
+    known = (
+        f"known to {np.degrees(found.rotation_sigma_rad):.1f} deg and"
+        f" {100.0 * found.arm_sigma_m:.1f} cm"
+    )
+    done = "it was applied" if is_auto else "or auto"
+    return (
+        "the odometry's poses are of another frame than the camera's optical one:"
+        f" --odometry.T-base-cam {flag} ({known}); {done}"
+    )
+
+
+def _of_clock(offset_s: float, is_auto: bool) -> str:
+    late = "later" if offset_s > 0.0 else "earlier"
+    done = "it was applied" if is_auto else "or auto"
+    return (
+        f"the odometry's time stamps are {abs(offset_s) * 1e3:.0f} ms {late} than the images':"
+        f" --odometry.time-offset-s {offset_s:.3f}; {done}"
+    )
+
+
+def _of_scale(found: Calibration, is_auto: bool) -> str:
+    scale = found.convention.scale
+    what = "short" if scale > 1.0 else "long"
+    unit = " (feet)" if abs(scale / 0.3048 - 1.0) < 0.05 else ""
+    done = "it was applied" if is_auto else "or auto"
+    return (
+        f"the odometry's ways are {abs(1.0 / scale - 1.0):.1%} too {what}{unit}: --odometry.scale"
+        f" {scale:.4f} (known to {found.scale_sigma / scale:.1%}); {done}"
+    )
+
+
+def judgement(trust: Trust, stamps_s: Mapping[int, float]) -> tuple[str, ...]:
+    """Return what the images say of the odometry, and where they contradict it."""
+    sentences = [
+        f"the odometry compared with {trust.compared} motions of the images: {trust.verdict}"
+    ]
+    if trust.verdict is Verdict.NOISY:
+        sentences[0] += f"; its noise is {_noise(trust)}"
+    runs = _runs(trust.doubted)
+    if runs:
+        spans = [f"{stamps_s[first]:.2f} to {stamps_s[last]:.2f} s" for first, last in runs[:3]]
+        more = f" and {len(runs) - 3} more stretches" if len(runs) > 3 else ""
+        sentences.append(
+            f"the images contradict the odometry at {', '.join(spans)}{more}; they bridge it there"
+        )
+    return tuple(sentences)
+
+
+def _noise(trust: Trust) -> str:
+    units = ("metre", "radian", "second")
+    rotation_deg = np.degrees(np.sqrt(trust.rotation_noise))
+    translation_cm = 100.0 * np.sqrt(trust.translation_noise)
+    parts = [
+        f"{deg:.2g} deg and {cm:.2g} cm in a {unit}"
+        for deg, cm, unit in zip(rotation_deg, translation_cm, units, strict=True)
+        if deg > 0.0 or cm > 0.0
+    ]
+    return ", ".join(parts) or "less than can be told apart from the images'"
+
+
+def _runs(doubted: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the first and last keyframe id of stretches of consecutive doubted steps."""
+    runs: list[tuple[int, int]] = []
+    for k in doubted:
+        if runs and k == runs[-1][1] + 1:
+            runs[-1] = (runs[-1][0], k)
+        else:
+            runs.append((k - 1, k))
+    return runs
