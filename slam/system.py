@@ -12,7 +12,7 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.evaluation.steps import impossible_steps
 from slam.external_odometry.odometry import ExternalOdometry
-from slam.external_odometry.trust import Verdict
+from slam.external_odometry.trust import GivenKeyframe, Verdict
 from slam.geometry import se3
 from slam.loops.atlas import Correction, odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
@@ -117,8 +117,9 @@ class Slam:
         is_keyframe: bool,
     ) -> TrackedFrame | Rejection:
         check_frame(frame, self._camera, self._last_s)
-        T_given_cam = None
-        if T_odom_cam is not None:
+        if T_odom_cam is None:
+            T_given_cam = self._external.at(frame.timestamp_s)
+        else:
             T_given_cam = self._external.add(frame.timestamp_s, T_odom_cam, covariance)
         self._last_s = frame.timestamp_s
         if self._is_new_session:
@@ -170,8 +171,8 @@ class Slam:
         """Return the (4, 4) correction of another odometry's poses as of now, without waiting.
 
         The map lies where that odometry began, and `T_map_odom @ T_odom_cam` is where the camera
-        is. While nothing speaks against the odometry the correction changes when loops are closed;
-        once the images contradict it, with every frame.
+        is. The images are followed, and the correction changes with every frame, until they have
+        borne the odometry out; from then on it changes when loops are closed.
 
         Raises:
             SlamError: no keyframe had a pose yet, or nothing tells where the camera is since it was
@@ -218,9 +219,7 @@ class Slam:
         self._odometry.settle()
         T_odom_kf = {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
         stamps_s = np.array([each.timestamp_s for each in keyframes])
-        tracked = self._frames.tracked(np.array([T_odom_kf[each.id] for each in keyframes]))
-        with self.clock.stage("compare odometry"):
-            given = self._external.read(tracked, stamps_s)
+        given = self._read_external(T_odom_kf, stamps_s) if self._external else {}
         loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
         keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
             replace(each, T_odom_cam=T_odom_kf.get(each.id, each.T_odom_cam)) for each in keyframes
@@ -277,6 +276,15 @@ class Slam:
             unsmoothed=trajectory if self._is_smoothed else None,
             given=result_of_given,
         )
+
+    def _read_external(
+        self, T_odom_kf: dict[int, FloatArray], stamps_s: FloatArray
+    ) -> dict[int, GivenKeyframe]:
+        """Compare another odometry with the images; return where it has keyframes, by id."""
+        with self.clock.stage("compare odometry"):
+            T_images_kf = self._back_end.solve_images(T_odom_kf)
+            tracked = self._frames.tracked(np.array([T_images_kf[k] for k in sorted(T_odom_kf)]))
+            return self._external.read(tracked, stamps_s)
 
     def _live(self, T_world_kf: FloatArray) -> Trajectory:
         """Return where the placed frames were thought to be, in the world, when they came."""

@@ -15,7 +15,15 @@ from slam.geometry import se3
 # What is smaller is not worth a word, and less than so many standard deviations may be chance.
 _ROTATION_DEG, _ARM_M, _OFFSET_S, _SCALE = 2.0, 0.03, 0.02, 0.01
 _SIGMAS = 4.0
-_NO_FIT = 0.6  # of the motions left under the best reading
+# Of the motions left under the best reading: more, and frame, clock and unit cannot be told; more
+# still, and the poses have nothing to do with the images. Those of other recordings leave 1.
+_VAGUE, _NO_FIT = 0.3, 0.95
+_MIXED = 0.25  # share of the motions that are not explained at all, where the others are
+_NOT_OF_THESE_IMAGES = (
+    "the odometry's poses do not fit the images in whatever way they are read: they are of another"
+    " recording, or of several frames mixed; they were not used"
+)
+_BETTER = 0.9  # what is left under another reading than the one asked for, as a share
 
 
 @dataclass(frozen=True)
@@ -54,70 +62,33 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
     asked = asked_convention(config)
     if found is None:
         return Reading(asked)
-    if found.misfit > _NO_FIT:
-        return Reading(
-            asked,
-            (
-                "the odometry's poses do not fit the images in whatever way they are read: they are"
-                " of another recording, or of several frames mixed; they were not used",
-            ),
-            fits=False,
-        )
-    best, used, sentences = found.convention, asked, list[str]()
-    is_auto = config.T_base_cam == "auto"
-    if _is_read_otherwise(found, asked):
-        sentences += _of_reading(asked, best, is_auto)
-        if is_auto:
-            used = replace(used, is_inverted=best.is_inverted, is_w_first=best.is_w_first)
-    if _is_of_other_frame(found, asked):
-        sentences.append(_of_frame(found, is_auto))
-        if is_auto:
+    if found.misfit > _NO_FIT or found.hand_eye.unexplained > _MIXED > found.misfit:
+        return Reading(asked, (_NOT_OF_THESE_IMAGES,), fits=False)
+    if found.misfit > min(_VAGUE, _BETTER * found.misfit_before):
+        return Reading(asked)
+    used, sentences = asked, list[str]()
+    for part in (_direction, _frame, _clock, _scale):
+        sentences += part(config, found, asked)
+    if config.T_base_cam == "auto":
+        best = found.convention
+        used = replace(used, is_inverted=best.is_inverted, is_w_first=best.is_w_first)
+        if _frame(config, found, asked):
             used = replace(used, T_base_cam=best.T_base_cam)
-    if _is_of_other_clock(found, asked):
-        sentences.append(_of_clock(best.time_offset_s, config.time_offset_s == "auto"))
-        if config.time_offset_s == "auto":
-            used = replace(used, time_offset_s=best.time_offset_s)
-    if _is_in_other_units(found, asked):
-        sentences.append(_of_scale(found, config.scale == "auto"))
-        if config.scale == "auto":
-            used = replace(used, scale=best.scale)
+    if config.time_offset_s == "auto" and _clock(config, found, asked):
+        used = replace(used, time_offset_s=found.convention.time_offset_s)
+    if config.scale == "auto" and _scale(config, found, asked):
+        used = replace(used, scale=found.convention.scale)
     return Reading(used, tuple(sentences))
 
 
-def _is_read_otherwise(found: Calibration, asked: Convention) -> bool:
-    best = found.convention
-    return (best.is_inverted, best.is_w_first) != (asked.is_inverted, asked.is_w_first)
-
-
-def _is_of_other_clock(found: Calibration, asked: Convention) -> bool:
-    return abs(found.convention.time_offset_s - asked.time_offset_s) > _OFFSET_S
-
-
-def _is_in_other_units(found: Calibration, asked: Convention) -> bool:
-    scale = found.convention.scale
-    limit = max(_SCALE, _SIGMAS * found.scale_sigma / scale)
-    return abs(scale / asked.scale - 1.0) > limit
-
-
-def _is_of_other_frame(found: Calibration, asked: Convention) -> bool:
-    off = se3.inverse(asked.T_base_cam) @ found.convention.T_base_cam
-    turned_deg, moved_m = np.degrees(se3.rotation_angle(off)), float(se3.translation_norm(off))
-    sigma_deg = np.degrees(found.rotation_sigma_rad)
-    return bool(
-        turned_deg > max(_ROTATION_DEG, _SIGMAS * sigma_deg)
-        or moved_m > max(_ARM_M, _SIGMAS * found.arm_sigma_m)
-    )
-
-
-def _of_reading(asked: Convention, best: Convention, is_auto: bool) -> list[str]:
+def _direction(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
+    best, sentences = found.convention, []
+    is_auto = config.T_base_cam == "auto"
     done = "; it was applied" if is_auto else ", or --odometry.T-base-cam auto"
-    sentences = []
     if best.is_inverted != asked.is_inverted:
-        what = (
-            "take the world to the camera" if best.is_inverted else "take the camera to the world"
-        )
+        what = "world to the camera" if best.is_inverted else "camera to the world"
         flag = f"--odometry.inverted {best.is_inverted}"
-        sentences.append(f"the odometry's poses {what}: {flag}{done}")
+        sentences.append(f"the odometry's poses take the {what}: {flag}{done}")
     if best.is_w_first != asked.is_w_first:
         what = "w x y z" if best.is_w_first else "x y z w"
         flag = f"--odometry.w-first {best.is_w_first}"
@@ -125,39 +96,47 @@ def _of_reading(asked: Convention, best: Convention, is_auto: bool) -> list[str]
     return sentences
 
 
-def _of_frame(found: Calibration, is_auto: bool) -> str:
-    T = found.convention.T_base_cam
-    numbers = [*T[:3, 3], *se3.to_quaternion(T[:3, :3])]
-    flag = " ".join(f"{value:.4f}" for value in np.array(numbers) + 0.0)
-    known = (
-        f"known to {np.degrees(found.rotation_sigma_rad):.1f} deg and"
-        f" {100.0 * found.arm_sigma_m:.1f} cm"
-    )
-    done = "it was applied" if is_auto else "or auto"
-    return (
+def _frame(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
+    T, known = found.convention.T_base_cam, found.hand_eye
+    off = se3.inverse(asked.T_base_cam) @ T
+    turned_deg, moved_m = np.degrees(se3.rotation_angle(off)), float(se3.translation_norm(off))
+    sigma_deg = np.degrees(known.rotation_sigma_rad)
+    is_turned = turned_deg > max(_ROTATION_DEG, _SIGMAS * sigma_deg)
+    if not is_turned and moved_m < max(_ARM_M, _SIGMAS * known.arm_sigma_m):
+        return []
+    numbers = np.array([*T[:3, 3], *se3.to_quaternion(T[:3, :3])]) + 0.0
+    flag = " ".join(f"{value:.4f}" for value in numbers)
+    done = "it was applied" if config.T_base_cam == "auto" else "or auto"
+    return [
         "the odometry's poses are of another frame than the camera's optical one:"
-        f" --odometry.T-base-cam {flag} ({known}); {done}"
-    )
+        f" --odometry.T-base-cam {flag} (known to {sigma_deg:.1f} deg and"
+        f" {100.0 * known.arm_sigma_m:.1f} cm); {done}"
+    ]
 
 
-def _of_clock(offset_s: float, is_auto: bool) -> str:
+def _clock(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
+    offset_s = found.convention.time_offset_s
+    if abs(offset_s - asked.time_offset_s) <= _OFFSET_S:
+        return []
     late = "later" if offset_s > 0.0 else "earlier"
-    done = "it was applied" if is_auto else "or auto"
-    return (
+    done = "it was applied" if config.time_offset_s == "auto" else "or auto"
+    return [
         f"the odometry's time stamps are {abs(offset_s) * 1e3:.0f} ms {late} than the images':"
         f" --odometry.time-offset-s {offset_s:.3f}; {done}"
-    )
+    ]
 
 
-def _of_scale(found: Calibration, is_auto: bool) -> str:
-    scale = found.convention.scale
+def _scale(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
+    scale, sigma = found.convention.scale, found.hand_eye.scale_sigma
+    if abs(scale / asked.scale - 1.0) <= max(_SCALE, _SIGMAS * sigma / scale):
+        return []
     what = "short" if scale > 1.0 else "long"
     unit = " (feet)" if abs(scale / 0.3048 - 1.0) < 0.05 else ""
-    done = "it was applied" if is_auto else "or auto"
-    return (
+    done = "it was applied" if config.scale == "auto" else "or auto"
+    return [
         f"the odometry's ways are {abs(1.0 / scale - 1.0):.1%} too {what}{unit}: --odometry.scale"
-        f" {scale:.4f} (known to {found.scale_sigma / scale:.1%}); {done}"
-    )
+        f" {scale:.4f} (known to {sigma / scale:.1%}); {done}"
+    ]
 
 
 def judgement(trust: Trust, stamps_s: Mapping[int, float]) -> tuple[str, ...]:

@@ -38,6 +38,11 @@ class GivenPoses:
         """All of them, as they were given."""
         return Trajectory(np.array(self._stamps_s), np.array(self._poses).reshape(-1, 4, 4))
 
+    def last(self, count: int) -> Trajectory:
+        """Return the last so many, fewer where there are not as many."""
+        poses = np.array(self._poses[-count:]).reshape(-1, 4, 4)
+        return Trajectory(np.array(self._stamps_s[-count:]), poses)
+
     def covariance(self, start_s: float, end_s: float) -> FloatArray | None:
         """Return the (6, 6) covariance of the motion between two times, None where not all is told.
 

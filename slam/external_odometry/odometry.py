@@ -14,6 +14,8 @@ from slam.geometry import se3
 from slam.result import GivenOdometry
 from slam.types import FloatArray, SlamError, Trajectory
 
+_AHEAD_S = 0.05  # for which the last motion is taken to go on
+
 
 def checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
     """Return a copy of a pose, since callers reuse their matrix.
@@ -82,6 +84,24 @@ class ExternalOdometry:
         one = Trajectory(np.array([timestamp_s]), T_odom_body[None])
         self.T_given_last = self._asked.camera_poses(one).T_world_cam[0]
         return self.T_given_last
+
+    def at(self, timestamp_s: float) -> FloatArray | None:
+        """Return where the odometry has the camera at a time about that of its last pose.
+
+        That is (4, 4), read as was asked for, and None where it has no pose around then.
+        """
+        recent = self._asked.camera_poses(self._given.last(2))
+        if len(recent) < 2:
+            return None
+        T = poses_between(recent, np.array([timestamp_s]))[0]
+        if np.isfinite(T[0, 0]):
+            return np.asarray(T)
+        first_s, last_s = recent.timestamps_s
+        ahead = (timestamp_s - last_s) / (last_s - first_s)
+        if not 0.0 < ahead <= 1.0 or timestamp_s - last_s > _AHEAD_S:
+            return None
+        step = se3.log(se3.inverse(recent.T_world_cam[0]) @ recent.T_world_cam[1])
+        return np.asarray(recent.T_world_cam[1] @ se3.exp(ahead * step))
 
     def next_keyframe(
         self, timestamp_s: float, T_given_cam: FloatArray | None

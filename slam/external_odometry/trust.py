@@ -69,8 +69,8 @@ class Trust:
 
     @property
     def is_followed(self) -> bool:
-        """Whether nothing speaks against following it from one keyframe to the next."""
-        return self.verdict in (Verdict.BORNE_OUT, Verdict.UNKNOWN)
+        """Whether to follow it, not the images, from one keyframe to the next."""
+        return self.verdict is Verdict.BORNE_OUT
 
 
 @dataclass(frozen=True)
@@ -107,14 +107,17 @@ def judge(
     verdict, rotation, translation = _weigh(motions, path)
     links: list[Link] = []
     if verdict is not Verdict.SHARED:
-        stiff = _stiff(motions) if verdict is Verdict.BORNE_OUT else None
+        # What the images contradict is nowhere known better than they know themselves; what they do
+        # not, they do not bend.
+        images = _images_variance(motions) if motions else np.zeros(6)
+        share = _STIFF**2 if verdict is Verdict.BORNE_OUT else 1.0
         for a, b in steps:
             if b in doubted:
                 continue
             (extent,) = path.extents(np.array([[a, b]]))
-            variance = np.repeat([rotation @ extent, translation @ extent], 3) + _LEAST
+            own = np.repeat([rotation @ extent, translation @ extent], 3)
             told = given[b].covariance
-            noise = np.diag(variance if stiff is None else stiff) if told is None else told
+            noise = np.diag(share * images + own + _LEAST) if told is None else told
             T_a_b = se3.inverse(given[a].T_given_cam) @ given[b].T_given_cam
             motion = RelativePose(T_a_b, np.asarray(np.linalg.inv(noise)))
             links.append(Link(a, b, motion))
@@ -277,7 +280,7 @@ def _variances(compared: _Comparison, part: slice) -> FloatArray:
     return np.asarray(variances)
 
 
-def _stiff(motions: Sequence[Link]) -> FloatArray:
-    """Return the (6,) variances of what the images cannot tell from the truth."""
+def _images_variance(motions: Sequence[Link]) -> FloatArray:
+    """Return the (6,) variances that a motion of the images typically claims."""
     noise = [np.diag(np.linalg.inv(each.motion.information)) for each in motions]
-    return np.asarray(_STIFF**2 * np.median(noise, axis=0))
+    return np.asarray(np.median(noise, axis=0))

@@ -112,12 +112,14 @@ class Atlas:
         for k, T in T_odom_kf.items():
             self._T_odom_kf[k] = T
 
-    def largest(self, frames: Mapping[int, int] | None = None) -> LargestSubmap:
+    def largest(
+        self, frames: Mapping[int, int] | None = None, with_given: bool = True
+    ) -> LargestSubmap:
         """Return the submap with the most frames per keyframe id, the earlier of equals.
 
-        Default: one frame of each.
+        Default: one frame of each. An odometry from elsewhere may be left out.
         """
-        trust = self._trust()
+        trust = self._trust() if with_given else None
         steps = trust.steps if trust else ()
         submaps = self._submaps(steps)
         largest = max(submaps, key=lambda submap: submap.size(frames))

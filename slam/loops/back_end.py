@@ -34,8 +34,9 @@ _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and 
 # On the way, loops of a segment wait until there are this share more of them than the last
 # correction knew: the cost per segment then grows with the logarithm of their number.
 _LOOP_GROWTH = 0.1
-# An odometry from elsewhere is judged without a loop too, every so many keyframes.
-_GIVEN_EVERY = 10
+# An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
+# more as that share.
+_JUDGED_AFTER = 4
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ class BackEnd:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
         self._solver = ThreadPoolExecutor(1, thread_name_prefix="corrections")
         self._solved_loops: Counter[int] = Counter()  # per segment of the later keyframe
+        self._judged_id = -1
         self._solving: list[Future[None]] = []
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: RecognizerError | None = None  # nothing after it is taken in
@@ -114,8 +116,7 @@ class BackEnd:
         """
         if self.is_empty:  # its camera is where the world begins
             T_world_odom = {keyframe.segment: se3.inverse(keyframe.T_odom_cam)}
-            T_world_given = se3.inverse(given.T_given_cam) if given else None
-            self.corrections = [Correction(0, -1, {}, T_world_odom, T_world_given)]
+            self.corrections = [Correction(0, -1, {}, T_world_odom)]
         if len(self._queue) == _MAX_QUEUED:
             self._next_result()
         # A copy: cameras reuse their memory.
@@ -189,6 +190,16 @@ class BackEnd:
         warnings = (*solution.warnings, *refusals(attempts))
         return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings, largest.trust, steps)
 
+    def solve_images(self, T_odom_kf: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
+        """Return the (4, 4) poses by keyframe id that images alone tell, as in `solve`.
+
+        Those not joined to the largest submap stay as in T_odom_kf, where the odometry has them.
+        """
+        self.catch_up()
+        self._atlas.move(T_odom_kf)
+        graph = self._atlas.largest(with_given=False).graph
+        return {**T_odom_kf, **solve(graph, self._inlier_probability).T_world_kf}
+
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes are, -1 to 1."""
         return self.loop_closer.similarities()
@@ -234,12 +245,18 @@ class BackEnd:
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
         loops, solved = self._atlas.loops, self._solved_loops[keyframe.segment]
-        is_due = given is not None and keyframe.id % _GIVEN_EVERY == _GIVEN_EVERY - 1
-        if is_due or loops[keyframe.segment] - solved > _LOOP_GROWTH * solved:
-            self._solved_loops = loops.copy()
+        if (
+            self._is_due(keyframe, given)
+            or loops[keyframe.segment] - solved > _LOOP_GROWTH * solved
+        ):
+            self._solved_loops, self._judged_id = loops.copy(), keyframe.id
             largest = self._atlas.largest()
             self._solving.append(self._solver.submit(self._correct, keyframe.id, largest))
         return attempts
+
+    def _is_due(self, keyframe: Keyframe, given: GivenKeyframe | None) -> bool:
+        new = keyframe.id - self._judged_id
+        return given is not None and new > _JUDGED_AFTER + _LOOP_GROWTH * keyframe.id
 
     def _correct(self, newest_id: int, largest: LargestSubmap) -> None:
         with self._clock.stage("correct"):

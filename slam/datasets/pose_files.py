@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of an odometry's poses, one a line: TUM, KITTI, EuRoC, planar; told by what they hold."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from placerec.datasets.tum_lists import as_numbers, read_lines
+from placerec.files import write_atomically
+from slam.datasets.true_poses import in_order, rigid
+from slam.geometry import se3
+from slam.types import FloatArray, SlamError, Trajectory
+
+_NANOSECONDS = 1e14  # no time in seconds is as large, and one in nanoseconds no smaller since 1970
+_MIN_NORM = 1e-6
+# Poses leap to and fro between two frames where every one is so many times as far from the next as
+# from the one after, and further than this.
+_TO_AND_FRO, _TO_AND_FRO_M = 5.0, 0.05
+
+
+@dataclass(frozen=True)
+class PoseFormat:
+    """A way of writing poses, one a line.
+
+    Attributes:
+        name: for people.
+        columns: what a line holds, for people.
+        count: how many numbers that is.
+        has_time: whether the first of them is the time; else a line belongs to an image.
+        ending: of the file's name.
+        separator: between two numbers.
+        parse: returns the (4, 4) pose of the others; raises SlamError where they are none.
+        numbers: returns the others of a (4, 4) pose.
+    """
+
+    name: str
+    columns: str
+    count: int
+    has_time: bool
+    ending: str
+    separator: str
+    parse: Callable[[FloatArray], FloatArray]
+    numbers: Callable[[FloatArray], FloatArray]
+
+
+def _of_quaternion(values: FloatArray) -> FloatArray:
+    if np.linalg.norm(values[3:7]) < _MIN_NORM:
+        raise SlamError("has a quaternion of length zero")
+    return se3.from_rotation_translation(se3.from_quaternion(values[3:7]), values[:3])
+
+
+def _to_quaternion(T: FloatArray) -> FloatArray:
+    return np.concatenate([T[:3, 3], se3.to_quaternion(T[:3, :3])])
+
+
+def _of_w_first(values: FloatArray) -> FloatArray:
+    return _of_quaternion(values[[0, 1, 2, 4, 5, 6, 3]])
+
+
+def _to_w_first(T: FloatArray) -> FloatArray:
+    return _to_quaternion(T)[[0, 1, 2, 6, 3, 4, 5]]
+
+
+def _of_rows(values: FloatArray) -> FloatArray:
+    T = np.eye(4)
+    T[: len(values) // 4] = values.reshape(-1, 4)
+    try:
+        return rigid(T, "pose", Path())
+    except SlamError:
+        raise SlamError("is no rotation and translation") from None
+
+
+def _to_three_rows(T: FloatArray) -> FloatArray:
+    return T[:3].ravel()
+
+
+def _to_four_rows(T: FloatArray) -> FloatArray:
+    return T.ravel()
+
+
+def _of_planar(values: FloatArray) -> FloatArray:
+    x, y, yaw = values
+    R = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0, 0, 1]])
+    return se3.from_rotation_translation(R, np.array([x, y, 0.0]))
+
+
+def _to_planar(T: FloatArray) -> FloatArray:
+    return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+
+
+_EUROC = PoseFormat(
+    "EuRoC", "time in ns, px py pz qw qx qy qz ...", 8, True, ".csv", ",", _of_w_first, _to_w_first
+)
+FORMATS = (
+    PoseFormat(
+        "TUM", "time tx ty tz qx qy qz qw", 8, True, ".txt", " ", _of_quaternion, _to_quaternion
+    ),
+    PoseFormat(
+        "KITTI", "a (3, 4) matrix by rows", 12, False, ".txt", " ", _of_rows, _to_three_rows
+    ),
+    PoseFormat(
+        "KITTI with times",
+        "time and a (3, 4) matrix",
+        13,
+        True,
+        ".txt",
+        " ",
+        _of_rows,
+        _to_three_rows,
+    ),
+    PoseFormat(
+        "matrices", "a (4, 4) matrix by rows", 16, False, ".txt", " ", _of_rows, _to_four_rows
+    ),
+    PoseFormat(
+        "matrices with times",
+        "time and a (4, 4) matrix",
+        17,
+        True,
+        ".txt",
+        " ",
+        _of_rows,
+        _to_four_rows,
+    ),
+    PoseFormat("planar", "time x y yaw", 4, True, ".txt", " ", _of_planar, _to_planar),
+)
+"""Told apart by their number of columns; EuRoC's by its times in nanoseconds."""
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """The poses of a file, in the order of time.
+
+    Attributes:
+        format: how they are written there.
+        trajectory: the poses as written: seconds, and the file's own unit and frame.
+        stamps: (N,) the times as written; none where lines have no times.
+        warnings: what a user should know; one sentence each.
+    """
+
+    format: PoseFormat
+    trajectory: Trajectory
+    stamps: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
+    """Read poses; where their lines have no times they belong to the images, (N,) seconds.
+
+    Raises:
+        LoopcloseError: the file cannot be read, holds no pose or something else, has no time in
+            common with the images, or mixes poses of two frames.
+    """
+    lines = [(number, line) for number, line in read_lines(file) if not _is_header(line)]
+    if not lines:
+        raise SlamError(f"the file holds no pose ({_known()}): {file}")
+    tables = [_numbers(number, line, file) for number, line in lines]
+    form = _format(tables[0], lines[0], file)
+    width = len(tables[0])
+    T = np.empty((len(lines), 4, 4))
+    for i, ((number, line), values) in enumerate(zip(lines, tables, strict=True)):
+        if len(values) != width:
+            raise SlamError(
+                f"line {number} has {len(values)} numbers, the first one {width}: {line!r}: {file}"
+            )
+        try:
+            T[i] = form.parse(np.array(values[form.has_time : form.count]))
+        except SlamError as error:
+            raise SlamError(f"line {number} {error}: {line!r}: {file}") from error
+    if not form.has_time:
+        return PoseFile(form, Trajectory(_images_of(len(T), images_s, file), T), (), ())
+    unit = 1e9 if form is _EUROC else 1.0
+    stamps_s = np.array([values[0] for values in tables]) / unit
+    warnings: list[str] = []
+    kept = in_order(stamps_s, file, warnings)
+    stamps = tuple(lines[i][1].replace(",", " ").split()[0] for i in kept)
+    trajectory = Trajectory(stamps_s[kept], T[kept])
+    _check_times(trajectory.timestamps_s, images_s, file)
+    _check_frame(trajectory, file)
+    return PoseFile(form, trajectory, stamps, tuple(warnings))
+
+
+def write_pose_file(file: Path, source: PoseFile, corrected: Trajectory) -> None:
+    """Write poses as they are written in another file, at those of its times that they have.
+
+    Raises:
+        LoopcloseError: the file cannot be written.
+    """
+    form, separator = source.format, source.format.separator
+    stamp_of = dict(zip(source.trajectory.timestamps_s.tolist(), source.stamps, strict=False))
+    lines = [f"#{separator.join(form.columns.split())}"] if form is _EUROC else []
+    for time_s, T in zip(corrected.timestamps_s.tolist(), corrected.T_world_cam, strict=True):
+        # Adding 0.0 turns a rounded -0.0 into 0.0.
+        numbers = [f"{value:.9f}" for value in np.round(form.numbers(T), 9) + 0.0]
+        lines.append(separator.join([*([stamp_of[time_s]] if form.has_time else []), *numbers]))
+    write_atomically(file, "\n".join(lines) + "\n")
+
+
+def _is_header(line: str) -> bool:
+    """Whether a line is a table's first, which names its columns."""
+    return as_numbers(line) is None and line[0].isalpha() and not line.lower().startswith("nan")
+
+
+def _numbers(number: int, line: str, file: Path) -> list[float]:
+    values = as_numbers(line)
+    if values is None:
+        raise SlamError(f"line {number} holds something else than finite numbers: {line!r}: {file}")
+    return values
+
+
+def _format(values: list[float], first: tuple[int, str], file: Path) -> PoseFormat:
+    number, line = first
+    if values[0] > _NANOSECONDS and len(values) >= _EUROC.count:
+        return _EUROC
+    for form in FORMATS:
+        if form.count == len(values):
+            return form
+    raise SlamError(
+        f"line {number} has {len(values)} numbers, which is no known way to write a pose"
+        f" ({_known()}): {line!r}: {file}"
+    )
+
+
+def _known() -> str:
+    return "; ".join(f"{form.name}: {form.columns}" for form in (*FORMATS, _EUROC))
+
+
+def _images_of(count: int, images_s: FloatArray, file: Path) -> FloatArray:
+    if count != len(images_s):
+        raise SlamError(
+            f"the lines have no times, so that there has to be one per image, but there are {count}"
+            f" for {len(images_s)} images; put the time before each: {file}"
+        )
+    return images_s
+
+
+def _check_times(stamps_s: FloatArray, images_s: FloatArray, file: Path) -> None:
+    if stamps_s[0] > images_s[-1] or stamps_s[-1] < images_s[0]:
+        raise SlamError(
+            f"the poses are of {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s, the images of"
+            f" {images_s[0]:.3f} to {images_s[-1]:.3f} s, and have no time in common; do both use"
+            f" one clock, and is it the odometry of this recording? {file}"
+        )
+
+
+def _check_frame(trajectory: Trajectory, file: Path) -> None:
+    centres = trajectory.T_world_cam[:, :3, 3]
+    if len(centres) < 5:
+        return
+    next_m = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    after_m = np.linalg.norm(centres[2:] - centres[:-2], axis=1)
+    if np.median(next_m) > max(_TO_AND_FRO * float(np.median(after_m)), _TO_AND_FRO_M):
+        raise SlamError(
+            f"the poses leap to and fro, by {np.median(next_m):.2f} m from one to the next: those"
+            f" of two frames or two bodies are mixed; keep those of one: {file}"
+        )
