@@ -140,12 +140,16 @@ def write_camera(path: Path, camera: Camera) -> None:
     write_atomically(path, "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys))
 
 
-def read_intrinsics(file: Path) -> Camera:
-    """Read a JSON file as Open3D writes it, or with the attributes of pyrealsense2's intrinsics.
+_NICE_SLAM = {"w": "width", "h": "height", "scale": "depth_scale"}
 
-    The first has width, height and intrinsic_matrix (by columns); the second width, height, fx,
-    fy, ppx, ppy, model and coeffs. Either may have depth_scale: Open3D's, 1000 or so, are units
-    per metre; a RealSense's, 0.001 or so, are metres per unit.
+
+def read_intrinsics(file: Path) -> Camera:
+    """Read a JSON file of Open3D, NICE-SLAM, or with the attributes of pyrealsense2's intrinsics.
+
+    The first has width, height and intrinsic_matrix (by columns); the second w, h, fx, fy, cx, cy
+    and scale within camera; the third width, height, fx, fy, ppx, ppy, model and coeffs. All but
+    the second may have depth_scale: Open3D's, 1000 or so, are units per metre; a RealSense's, 0.001
+    or so, are metres per unit.
 
     Raises:
         SlamError: the file cannot be read, or a value is missing or out of range.
@@ -153,6 +157,10 @@ def read_intrinsics(file: Path) -> Camera:
     values = _parsed(file, "JSON", json.loads)
     if not isinstance(values, dict):
         raise SlamError(f"the camera file does not hold names and values: {file}")
+    if isinstance(values.get("camera"), dict):
+        return camera_of(
+            {_NICE_SLAM.get(key, key): value for key, value in values["camera"].items()}, file
+        )
     pinhole_of = _of_matrix if "intrinsic_matrix" in values else _of_realsense
     scale = values.get("depth_scale", UNITS_PER_M)
     if isinstance(scale, float) and 0.0 < scale < 1.0:

@@ -8,6 +8,7 @@ from pathlib import Path
 from slam.config import InputConfig
 from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
 from slam.datasets.open3d_folder import open_open3d, open_realsense
+from slam.datasets.replica import open_replica
 from slam.datasets.scannet import open_scannet
 from slam.datasets.sequence import Sequence
 from slam.datasets.seven_scenes import open_seven_scenes
@@ -47,6 +48,7 @@ FORMATS = (
     Format("ICL-NUIM", ("associations.txt", "*.gt.freiburg"), open_icl_nuim),
     Format("ICL-NUIM as rendered", ("scene_*.png", "scene_*.depth"), open_icl_nuim_original),
     Format("7-Scenes", ("frame-*.color.png", "frame-*.depth.png"), open_seven_scenes),
+    Format("Replica", ("results/frame*", "results/depth*"), open_replica),
     Format("ScanNet", ("color/", "depth/", "intrinsic/intrinsic_color.txt"), open_scannet),
     Format(
         "RealSense",

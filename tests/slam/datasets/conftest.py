@@ -209,6 +209,19 @@ def write_seven_scenes(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_replica(folder: Path, walk: Walk) -> Path:
+    for i, (rgb, depth_m) in enumerate(zip(walk.rgb, walk.depth_m, strict=True)):
+        save(folder / f"results/frame{i:06d}.png", rgb)
+        save(folder / f"results/depth{i:06d}.png", depth_m, 6553.5)
+    lines = [" ".join(f"{value:.18e}" for value in T.ravel()) for T in walk.T_world_depth]
+    (folder / "traj.txt").write_text("\n".join(lines) + "\n")
+    camera = walk.depth_camera
+    values = {"w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy}
+    values |= {"cx": camera.cx, "cy": camera.cy, "scale": 6553.5}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": values}))
+    return folder
+
+
 def write_scannet(folder: Path, walk: Walk) -> Path:
     for i, T in enumerate(walk.T_world_depth):
         save(folder / f"color/{i}.png", walk.rgb[i])
@@ -269,6 +282,7 @@ WRITERS: dict[str, Writer] = {
     "icl_nuim": write_icl_nuim,
     "icl_nuim_original": write_icl_nuim_original,
     "seven_scenes": write_seven_scenes,
+    "replica": write_replica,
     "scannet": write_scannet,
     "open3d": write_open3d,
     "realsense": write_realsense,

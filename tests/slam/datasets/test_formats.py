@@ -24,6 +24,7 @@ NAMES = {
     "icl_nuim": "ICL-NUIM",
     "icl_nuim_original": "ICL-NUIM as rendered",
     "seven_scenes": "7-Scenes",
+    "replica": "Replica",
     "scannet": "ScanNet",
     "realsense": "RealSense",
     "open3d": "Open3D or Redwood",
