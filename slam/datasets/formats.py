@@ -47,7 +47,11 @@ FORMATS = (
     Format("TUM RGB-D", ("rgb.txt", "depth.txt"), open_tum),
     Format("ICL-NUIM", ("associations.txt", "*.gt.freiburg"), open_icl_nuim),
     Format("ICL-NUIM as rendered", ("scene_*.png", "scene_*.depth"), open_icl_nuim_original),
-    Format("7-Scenes", ("frame-*.color.png", "frame-*.depth.png"), open_seven_scenes),
+    Format(
+        "7-Scenes",
+        ("frame-*.color.png|frame-*.color.jpg", "frame-*.depth.png"),
+        open_seven_scenes,
+    ),
     Format("Replica", ("results/frame*", "results/depth*"), open_replica),
     Format("ScanNet", ("color/", "depth/", "intrinsic/intrinsic_color.txt"), open_scannet),
     Format(
