@@ -25,11 +25,19 @@ class Format:
         needs: what a folder must hold, as glob patterns; one of those that `|` separates will do.
         open: reads such a folder; raises LoopcloseError where a list, a pose, the camera or most
             images are not usable.
+        without: what it must not hold, as glob patterns: what tells that it is of another format.
     """
 
     name: str
     needs: tuple[str, ...]
     open: Callable[[Path, InputConfig], Sequence]
+    without: tuple[str, ...] = ()
+
+    def fits(self, folder: Path) -> bool:
+        """Return whether a folder can be read as this format."""
+        return not self.missing(folder) and not any(
+            any(folder.glob(pattern)) for pattern in self.without
+        )
 
     def missing(self, folder: Path) -> tuple[str, ...]:
         """Return those of the needs that the folder does not meet."""
@@ -40,7 +48,18 @@ class Format:
         )
 
 
-_COLOR, _INTRINSICS = "color/|rgb/|image/", "camera_intrinsic.json|intrinsic.json|camera.toml"
+_COLOR = "color/|rgb/|image/"
+_INTRINSICS = "camera_intrinsic.json|intrinsic.json|camera_primesense.json|camera.toml"
+_LISTS = ("rgb.txt", "depth.txt", "associations.txt", "groundtruth.txt", "*.freiburg")
+_OF_OTHERS = (
+    *_LISTS,
+    "intrinsic/",
+    "pose/",
+    "timestamps.*",
+    "*.csv",
+    "intrinsics.json",
+    "metadata*",
+)
 
 # In the order of asking: what asks for more comes before what it would also fit.
 FORMATS = (
@@ -60,6 +79,7 @@ FORMATS = (
         open_realsense,
     ),
     Format("Open3D or Redwood", (_COLOR, "depth/", _INTRINSICS), open_open3d),
+    Format("Open3D's samples", (_COLOR, "depth/"), open_open3d, without=_OF_OTHERS),
 )
 
 
@@ -87,7 +107,7 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
 
 def find_format(folder: Path) -> Format | None:
     """Return the format that a folder is in, or None."""
-    return next((each for each in FORMATS if not each.missing(folder)), None)
+    return next((each for each in FORMATS if each.fits(folder)), None)
 
 
 def _not_recognised(path: Path) -> str:

@@ -257,6 +257,12 @@ def write_open3d(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_open3d_sample(folder: Path, walk: Walk) -> Path:
+    write_open3d(folder, walk)
+    (folder / "camera_intrinsic.json").unlink()
+    return folder
+
+
 def write_realsense(folder: Path, walk: Walk) -> Path:
     write_images(folder, walk)
     camera = walk.depth_camera
@@ -285,6 +291,7 @@ WRITERS: dict[str, Writer] = {
     "replica": write_replica,
     "scannet": write_scannet,
     "open3d": write_open3d,
+    "open3d_sample": write_open3d_sample,
     "realsense": write_realsense,
 }
 
