@@ -12,7 +12,7 @@ from slam.datasets.replica import open_replica
 from slam.datasets.scannet import open_scannet
 from slam.datasets.sequence import Sequence
 from slam.datasets.seven_scenes import open_seven_scenes
-from slam.datasets.tum import open_tum
+from slam.datasets.tum import open_associations, open_tum
 from slam.types import SlamError
 
 
@@ -49,7 +49,8 @@ class Format:
 
 
 _COLOR = "color/|rgb/|image/"
-_INTRINSICS = "camera_intrinsic.json|intrinsic.json|camera_primesense.json|camera.toml"
+_CAMERA_FILES = ("camera_intrinsic.json", "intrinsic.json", "camera_primesense.json")
+_INTRINSICS = "|".join((*_CAMERA_FILES, "camera.toml"))
 _LISTS = ("rgb.txt", "depth.txt", "associations.txt", "groundtruth.txt", "*.freiburg")
 _OF_OTHERS = (
     *_LISTS,
@@ -65,6 +66,7 @@ _OF_OTHERS = (
 FORMATS = (
     Format("TUM RGB-D", ("rgb.txt", "depth.txt"), open_tum),
     Format("ICL-NUIM", ("associations.txt", "*.gt.freiburg"), open_icl_nuim),
+    Format("associated images", ("associations.txt",), open_associations, without=_CAMERA_FILES),
     Format("ICL-NUIM as rendered", ("scene_*.png", "scene_*.depth"), open_icl_nuim_original),
     Format(
         "7-Scenes",
@@ -115,7 +117,11 @@ def _not_recognised(path: Path) -> str:
     seen = ", ".join(entry.name for entry in entries[:5]) + (", ..." if len(entries) > 5 else "")
     inner = next((entry for entry in entries if entry.is_dir() and find_format(entry)), None)
     lacks = [(each, each.missing(path)) for each in FORMATS]
-    nearly = [f"{each.name} with {_said(lack)}" for each, lack in lacks if len(lack) == 1]
+    nearly = [
+        f"{each.name} with {_said(lack)}"
+        for each, lack in lacks
+        if len(lack) == 1 < len(each.needs)
+    ]
     hint = ""
     if inner:
         hint = f"; did you mean its folder {inner.name}?"

@@ -168,6 +168,16 @@ def write_tum(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_associations(folder: Path, walk: Walk) -> Path:
+    write_tum(folder, walk)
+    lists = [folder / "rgb.txt", folder / "depth.txt"]
+    rows = zip(*(file.read_text().splitlines() for file in lists), strict=True)
+    (folder / "associations.txt").write_text("".join(f"{a} {b}\n" for a, b in rows))
+    for file in lists:
+        file.unlink()
+    return folder
+
+
 # What POV-Ray's left-handed world and camera (y upwards) make of ours.
 POV = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -291,6 +301,7 @@ WRITERS: dict[str, Writer] = {
     "replica": write_replica,
     "scannet": write_scannet,
     "open3d": write_open3d,
+    "associations": write_associations,
     "open3d_sample": write_open3d_sample,
     "realsense": write_realsense,
 }

@@ -22,6 +22,7 @@ CONFIG = InputConfig()
 NAMES = {
     "tum": "TUM RGB-D",
     "icl_nuim": "ICL-NUIM",
+    "associations": "associated images",
     "icl_nuim_original": "ICL-NUIM as rendered",
     "seven_scenes": "7-Scenes",
     "replica": "Replica",
@@ -131,7 +132,7 @@ def test_the_folder_above_a_recording_points_to_it(
     ("name", "lost", "said"),
     [
         ("tum", "depth.txt", "it would be TUM RGB-D with depth.txt"),
-        ("icl_nuim", "traj0.gt.freiburg", "it would be ICL-NUIM with *.gt.freiburg"),
+        ("icl_nuim", "traj0.gt.freiburg", "but then there is a *.gt.freiburg in the folder"),
         ("scannet", "intrinsic/intrinsic_color.txt", "with intrinsic/intrinsic_color.txt"),
         ("realsense", "intrinsics.json", "RealSense with intrinsics.json"),
     ],
@@ -143,3 +144,10 @@ def test_what_is_missing_is_named(
     (folder / lost).unlink()
     (folder / "camera.toml").unlink(missing_ok=True)
     fails(folder, said)
+
+
+def test_a_list_of_associations_does_not_hide_a_camera(export: Export, tiny_walk: Any) -> None:
+    folder = export("open3d", tiny_walk)
+    (folder / "associations.txt").write_text("0.1 color/00000.png 0.1 depth/00000.png\n")
+    found = find_format(folder)
+    assert found is not None and found.name == "Open3D or Redwood"
