@@ -8,6 +8,7 @@ from pathlib import Path
 from slam.config import InputConfig
 from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
 from slam.datasets.open3d_folder import open_open3d, open_realsense
+from slam.datasets.phones.stray_scanner import open_stray_scanner
 from slam.datasets.replica import open_replica
 from slam.datasets.scannet import open_scannet
 from slam.datasets.sequence import Sequence
@@ -75,6 +76,11 @@ FORMATS = (
     ),
     Format("Replica", ("results/frame*", "results/depth*"), open_replica),
     Format("ScanNet", ("color/", "depth/", "intrinsic/intrinsic_color.txt"), open_scannet),
+    Format(
+        "Stray Scanner",
+        ("rgb.mp4|rgb/", "depth/", "odometry.csv", "camera_matrix.csv"),
+        open_stray_scanner,
+    ),
     Format(
         "RealSense",
         (_COLOR, "depth/", "timestamps.csv|timestamps.txt", "intrinsics.json"),

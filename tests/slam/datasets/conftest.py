@@ -293,12 +293,29 @@ def write_realsense(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_stray_scanner(folder: Path, walk: Walk) -> Path:
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw\n"]
+    for i, (rgb, depth_m) in enumerate(zip(walk.rgb, walk.depth_m, strict=True)):
+        save(folder / f"rgb/{i:06d}.png", rgb)
+        save(folder / f"depth/{i:06d}.png", depth_m, 1000.0)
+        (folder / "confidence").mkdir(exist_ok=True)
+        confidence = np.full(depth_m.shape, 2, np.uint8)
+        assert cv2.imwrite(str(folder / f"confidence/{i:06d}.png"), confidence)
+        fields = pose_line(f"{i:06d}", walk.T_world_depth[i]).split()
+        rows.append(", ".join([f"{i / FRAMES_PER_S:.9f}", *fields]) + "\n")
+    (folder / "odometry.csv").write_text("".join(rows))
+    K = walk.color_camera.matrix
+    (folder / "camera_matrix.csv").write_text("\n".join(f"{a}, {b}, {c}" for a, b, c in K))
+    return folder
+
+
 WRITERS: dict[str, Writer] = {
     "tum": write_tum,
     "icl_nuim": write_icl_nuim,
     "icl_nuim_original": write_icl_nuim_original,
     "seven_scenes": write_seven_scenes,
     "replica": write_replica,
+    "stray_scanner": write_stray_scanner,
     "scannet": write_scannet,
     "open3d": write_open3d,
     "associations": write_associations,
