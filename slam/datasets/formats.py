@@ -8,6 +8,7 @@ from pathlib import Path
 from slam.config import InputConfig
 from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
 from slam.datasets.open3d_folder import open_open3d, open_realsense
+from slam.datasets.phones.record3d import open_record3d
 from slam.datasets.phones.stray_scanner import open_stray_scanner
 from slam.datasets.replica import open_replica
 from slam.datasets.scannet import open_scannet
@@ -81,6 +82,7 @@ FORMATS = (
         ("rgb.mp4|rgb/", "depth/", "odometry.csv", "camera_matrix.csv"),
         open_stray_scanner,
     ),
+    Format("Record3D", ("metadata.json|metadata", "depth/*.exr|rgbd/*.depth"), open_record3d),
     Format(
         "RealSense",
         (_COLOR, "depth/", "timestamps.csv|timestamps.txt", "intrinsics.json"),

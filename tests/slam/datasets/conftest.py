@@ -3,6 +3,8 @@
 
 import json
 import re
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -309,6 +311,72 @@ def write_stray_scanner(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_exr(
+    path: Path, channels: dict[str, np.ndarray], compression: int = 3, flags: int = 2
+) -> None:
+    """Write an OpenEXR image of scan lines: not compressed (0), or by ZIPS (2) or ZIP (3)."""
+    kinds = {np.dtype(np.uint32): 0, np.dtype(np.float16): 1, np.dtype(np.float32): 2}
+    (height, width), names = next(iter(channels.values())).shape, sorted(channels)
+    listed = b"".join(
+        name.encode() + b"\0" + struct.pack("<iIii", kinds[channels[name].dtype], 0, 1, 1)
+        for name in names
+    )
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    header = struct.pack("<ii", 20000630, flags)
+    for name, kind, value in (
+        ("channels", "chlist", listed + b"\0"),
+        ("compression", "compression", bytes([compression])),
+        ("dataWindow", "box2i", window),
+        ("displayWindow", "box2i", window),
+        ("lineOrder", "lineOrder", b"\0"),
+        ("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
+        ("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0)),
+        ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
+    ):
+        header += f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value
+    header += b"\0"
+    rows = [b"".join(channels[name][y].tobytes() for name in names) for y in range(height)]
+    step = 16 if compression == 3 else 1
+    chunks = []
+    for y in range(0, height, step):
+        plain = b"".join(rows[y : y + step])
+        data = deflated(plain) if compression else plain
+        data = data if len(data) < len(plain) else plain  # as the format wants it
+        chunks.append(struct.pack("<ii", y, len(data)) + data)
+    starts = np.cumsum([0, *map(len, chunks[:-1])]) + len(header) + 8 * len(chunks)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(header + starts.astype("<u8").tobytes() + b"".join(chunks))
+
+
+def deflated(plain: bytes) -> bytes:
+    values = np.frombuffer(plain, np.uint8).astype(np.int64)
+    halves = np.concatenate([values[0::2], values[1::2]])
+    differences = np.diff(halves, prepend=0) + 128
+    differences[0] = halves[0]
+    return zlib.compress(differences.astype(np.uint8).tobytes())
+
+
+@pytest.fixture
+def save_exr() -> Callable[..., None]:
+    return write_exr
+
+
+def write_record3d(folder: Path, walk: Walk) -> Path:
+    for i, (rgb, depth_m) in enumerate(zip(walk.rgb, walk.depth_m, strict=True)):
+        save(folder / f"rgb/{i}.png", rgb)
+        write_exr(folder / f"depth/{i}.exr", {"R": np.where(depth_m > 0.0, depth_m, np.nan)})
+    camera, poses = walk.color_camera, [pose_line(0, T).split()[1:] for T in walk.T_world_depth]
+    metadata = {
+        "w": camera.width,
+        "h": camera.height,
+        "K": camera.matrix.T.ravel().tolist(),
+        "fps": FRAMES_PER_S,
+        "poses": [[float(value) for value in [*pose[3:], *pose[:3]]] for pose in poses],
+    }
+    (folder / "metadata.json").write_text(json.dumps(metadata))
+    return folder
+
+
 WRITERS: dict[str, Writer] = {
     "tum": write_tum,
     "icl_nuim": write_icl_nuim,
@@ -316,6 +384,7 @@ WRITERS: dict[str, Writer] = {
     "seven_scenes": write_seven_scenes,
     "replica": write_replica,
     "stray_scanner": write_stray_scanner,
+    "record3d": write_record3d,
     "scannet": write_scannet,
     "open3d": write_open3d,
     "associations": write_associations,

@@ -28,12 +28,13 @@ NAMES = {
     "replica": "Replica",
     "scannet": "ScanNet",
     "stray_scanner": "Stray Scanner",
+    "record3d": "Record3D",
     "realsense": "RealSense",
     "open3d": "Open3D or Redwood",
     "open3d_sample": "Open3D's samples",
 }
 NOT_COMPARED = ("tum", "open3d_sample")  # the reference; open3d's folder without its camera
-WITHOUT_TRUTH = ("realsense", "stray_scanner")
+WITHOUT_TRUTH = ("realsense", "stray_scanner", "record3d")
 OF_ONE_CAMERA = ("icl_nuim", "icl_nuim_original", "seven_scenes")
 
 
