@@ -34,7 +34,8 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam demo                         render a room and run on it; needs no data
   run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
   run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
-                                        Open3D, Redwood or RealSense, told by what it holds
+                                        Replica, Open3D, Redwood, RealSense, Stray Scanner or
+                                        Record3D, told by what it holds
   run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
   run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
 

@@ -11,10 +11,12 @@ from placerec.errors import LoopcloseError
 def read_csv(file: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Yield (line number, the named columns' values) of a file with a header.
 
+    Blanks behind a comma do not count.
+
     Raises:
         LoopcloseError: it cannot be read as text, a column is missing or a line too short.
     """
-    reader = csv.DictReader(read_text(file).splitlines())
+    reader = csv.DictReader(read_text(file).splitlines(), skipinitialspace=True)
     missing = [column for column in columns if column not in (reader.fieldnames or ())]
     if missing:
         raise LoopcloseError(f"the table has no column {' or '.join(missing)}: {file}")

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from placerec.files import write_atomically
 from slam.config import InputConfig, PositiveFloat, PositiveInt
-from slam.types import Camera, SlamError
+from slam.types import Camera, FloatArray, SlamError
 
 CAMERA_FILE = "camera.toml"
 UNITS_PER_M = 1000.0
@@ -120,6 +120,22 @@ def camera_of(values: Mapping[str, object], path: Path) -> Camera:
     return Camera(**{**table.model_dump(), "distortion": (*table.distortion, 0.0)[:5]})
 
 
+def camera_of_matrix(K: FloatArray, size: tuple[int, int], file: Path) -> Camera:
+    """Return the camera of a (3, 3) intrinsic matrix, or larger, and (width, height), pixels.
+
+    Depth is in millimetres. `file` is where the matrix is from.
+
+    Raises:
+        SlamError: a value is out of range.
+    """
+    width, height = size
+    values = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+    pinhole = {key: float(value) for key, value in values.items()}
+    return camera_of(
+        {"width": width, "height": height, **pinhole, "depth_scale": UNITS_PER_M}, file
+    )
+
+
 def _describe(error: ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
@@ -140,12 +156,16 @@ def write_camera(path: Path, camera: Camera) -> None:
     write_atomically(path, "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys))
 
 
-def read_intrinsics(file: Path) -> Camera:
-    """Read a JSON file as Open3D writes it, or with the attributes of pyrealsense2's intrinsics.
+_NICE_SLAM = {"w": "width", "h": "height", "scale": "depth_scale"}
 
-    The first has width, height and intrinsic_matrix (by columns); the second width, height, fx,
-    fy, ppx, ppy, model and coeffs. Either may have depth_scale: Open3D's, 1000 or so, are units
-    per metre; a RealSense's, 0.001 or so, are metres per unit.
+
+def read_intrinsics(file: Path) -> Camera:
+    """Read a JSON file of Open3D, NICE-SLAM, or with the attributes of pyrealsense2's intrinsics.
+
+    The first has width, height and intrinsic_matrix (by columns); the second w, h, fx, fy, cx, cy
+    and scale within camera; the third width, height, fx, fy, ppx, ppy, model and coeffs. All but
+    the second may have depth_scale: Open3D's, 1000 or so, are units per metre; a RealSense's, 0.001
+    or so, are metres per unit.
 
     Raises:
         SlamError: the file cannot be read, or a value is missing or out of range.
@@ -153,6 +173,9 @@ def read_intrinsics(file: Path) -> Camera:
     values = _parsed(file, "JSON", json.loads)
     if not isinstance(values, dict):
         raise SlamError(f"the camera file does not hold names and values: {file}")
+    if isinstance(values.get("camera"), dict):
+        named = {_NICE_SLAM.get(key, key): value for key, value in values["camera"].items()}
+        return camera_of(named, file)
     pinhole_of = _of_matrix if "intrinsic_matrix" in values else _of_realsense
     scale = values.get("depth_scale", UNITS_PER_M)
     if isinstance(scale, float) and 0.0 < scale < 1.0:

@@ -8,10 +8,13 @@ from pathlib import Path
 from slam.config import InputConfig
 from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
 from slam.datasets.open3d_folder import open_open3d, open_realsense
+from slam.datasets.phones.record3d import open_record3d
+from slam.datasets.phones.stray_scanner import open_stray_scanner
+from slam.datasets.replica import open_replica
 from slam.datasets.scannet import open_scannet
 from slam.datasets.sequence import Sequence
 from slam.datasets.seven_scenes import open_seven_scenes
-from slam.datasets.tum import open_tum
+from slam.datasets.tum import open_associations, open_tum
 from slam.types import SlamError
 
 
@@ -24,11 +27,19 @@ class Format:
         needs: what a folder must hold, as glob patterns; one of those that `|` separates will do.
         open: reads such a folder; raises LoopcloseError where a list, a pose, the camera or most
             images are not usable.
+        without: what it must not hold, as glob patterns: what tells that it is of another format.
     """
 
     name: str
     needs: tuple[str, ...]
     open: Callable[[Path, InputConfig], Sequence]
+    without: tuple[str, ...] = ()
+
+    def fits(self, folder: Path) -> bool:
+        """Return whether a folder can be read as this format."""
+        return not self.missing(folder) and not any(
+            any(folder.glob(pattern)) for pattern in self.without
+        )
 
     def missing(self, folder: Path) -> tuple[str, ...]:
         """Return those of the needs that the folder does not meet."""
@@ -39,21 +50,46 @@ class Format:
         )
 
 
-_COLOR, _INTRINSICS = "color/|rgb/|image/", "camera_intrinsic.json|intrinsic.json|camera.toml"
+_COLOR = "color/|rgb/|image/"
+_CAMERA_FILES = ("camera_intrinsic.json", "intrinsic.json", "camera_primesense.json")
+_INTRINSICS = "|".join((*_CAMERA_FILES, "camera.toml"))
+_LISTS = ("rgb.txt", "depth.txt", "associations.txt", "groundtruth.txt", "*.freiburg")
+_OF_OTHERS = (
+    *_LISTS,
+    "intrinsic/",
+    "pose/",
+    "timestamps.*",
+    "*.csv",
+    "intrinsics.json",
+    "metadata*",
+)
 
 # In the order of asking: what asks for more comes before what it would also fit.
 FORMATS = (
     Format("TUM RGB-D", ("rgb.txt", "depth.txt"), open_tum),
     Format("ICL-NUIM", ("associations.txt", "*.gt.freiburg"), open_icl_nuim),
+    Format("associated images", ("associations.txt",), open_associations, without=_CAMERA_FILES),
     Format("ICL-NUIM as rendered", ("scene_*.png", "scene_*.depth"), open_icl_nuim_original),
-    Format("7-Scenes", ("frame-*.color.png", "frame-*.depth.png"), open_seven_scenes),
+    Format(
+        "7-Scenes",
+        ("frame-*.color.png|frame-*.color.jpg", "frame-*.depth.png"),
+        open_seven_scenes,
+    ),
+    Format("Replica", ("results/frame*", "results/depth*"), open_replica),
     Format("ScanNet", ("color/", "depth/", "intrinsic/intrinsic_color.txt"), open_scannet),
+    Format(
+        "Stray Scanner",
+        ("rgb.mp4|rgb/", "depth/", "odometry.csv", "camera_matrix.csv"),
+        open_stray_scanner,
+    ),
+    Format("Record3D", ("metadata.json|metadata", "depth/*.exr|rgbd/*.depth"), open_record3d),
     Format(
         "RealSense",
         (_COLOR, "depth/", "timestamps.csv|timestamps.txt", "intrinsics.json"),
         open_realsense,
     ),
     Format("Open3D or Redwood", (_COLOR, "depth/", _INTRINSICS), open_open3d),
+    Format("Open3D's samples", (_COLOR, "depth/"), open_open3d, without=_OF_OTHERS),
 )
 
 
@@ -81,7 +117,7 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
 
 def find_format(folder: Path) -> Format | None:
     """Return the format that a folder is in, or None."""
-    return next((each for each in FORMATS if not each.missing(folder)), None)
+    return next((each for each in FORMATS if each.fits(folder)), None)
 
 
 def _not_recognised(path: Path) -> str:
@@ -89,7 +125,11 @@ def _not_recognised(path: Path) -> str:
     seen = ", ".join(entry.name for entry in entries[:5]) + (", ..." if len(entries) > 5 else "")
     inner = next((entry for entry in entries if entry.is_dir() and find_format(entry)), None)
     lacks = [(each, each.missing(path)) for each in FORMATS]
-    nearly = [f"{each.name} with {_said(lack)}" for each, lack in lacks if len(lack) == 1]
+    nearly = [
+        f"{each.name} with {_said(lack)}"
+        for each, lack in lacks
+        if len(lack) == 1 < len(each.needs)
+    ]
     hint = ""
     if inner:
         hint = f"; did you mean its folder {inner.name}?"

@@ -102,6 +102,12 @@ def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenIm
     return image.astype(np.float32) / np.float32(depth_scale)
 
 
+def is_depth(path: Path) -> bool:
+    """Return whether a file is an image of the kind that holds depth: one channel of 16 bits."""
+    image = decode(path, cv2.IMREAD_UNCHANGED)
+    return not isinstance(image, BrokenImage) and image.dtype == np.uint16 and image.ndim == 2
+
+
 def read_size(paths: Iterable[Path]) -> tuple[int, int]:
     """Return (width, height), pixels, of the first of the images that can be read.
 

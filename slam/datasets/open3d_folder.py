@@ -2,7 +2,8 @@
 """Folders as Open3D's reconstruction system takes them, and the Redwood recordings made for it.
 
 Open3D's own `realsense_recorder.py` and `RGBDVideoReader.save_frames` (for the .bag files of a
-RealSense and the .mkv files of an Azure Kinect) write such folders.
+RealSense and the .mkv files of an Azure Kinect) write such folders. Its samples are such folders
+too, but may lack the camera, which its examples take to be `PrimeSenseDefault` then.
 """
 
 import re
@@ -12,14 +13,15 @@ import numpy as np
 
 from placerec.datasets.tum_lists import as_numbers, read_lines
 from slam.config import InputConfig
-from slam.datasets.cameras import named_camera, read_intrinsics, rescaled
-from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs
+from slam.datasets.cameras import UNITS_PER_M, named_camera, read_intrinsics, rescaled
+from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs, read_size
 from slam.datasets.sequence import ImagePair, Sequence
 from slam.datasets.true_poses import in_order, read_pose_log
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
 _COLOR_FOLDERS = ("color", "rgb", "image")
-_CAMERA_FILES = ("camera_intrinsic.json", "intrinsic.json")
+_CAMERA_FILES = ("camera_intrinsic.json", "intrinsic.json", "camera_primesense.json")
+PRIMESENSE = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=UNITS_PER_M)
 _MICROSECONDS = re.compile(r"\d+-(\d+)")  # of Redwood's names, such as 0000002-000000033369.jpg
 
 
@@ -27,7 +29,8 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
     """Open a folder of color/ (or rgb/, image/), depth/, a camera and perhaps trajectory.log.
 
     Images are paired by their numbers, and taken 30 times a second unless their names tell the
-    time. Depth is in millimetres unless the camera file has another depth_scale.
+    time. Depth is in millimetres unless the camera file has another depth_scale. Without a camera
+    file, images of 640x480 pixels are taken to be Open3D's default camera's.
     """
     warnings: list[str] = []
     images = [
@@ -42,7 +45,7 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
     log = path / "trajectory.log"
     return Sequence(
         path.resolve().name,
-        rescaled(named_camera(path, config) or _own_camera(path), config),
+        rescaled(named_camera(path, config) or _own_camera(path, images, warnings), config),
         images,
         ground_truth=_read_truth(log, images) if log.is_file() else None,
         warnings=tuple(warnings),
@@ -59,8 +62,23 @@ def _time_s(number: int, color: Path) -> float:
     return int(match[1]) * 1e-6 if match else number / FRAMES_PER_S
 
 
-def _own_camera(path: Path) -> Camera:
-    return read_intrinsics(next(path / name for name in _CAMERA_FILES if (path / name).is_file()))
+def _own_camera(path: Path, images: list[ImagePair], warnings: list[str]) -> Camera:
+    file = next((path / name for name in _CAMERA_FILES if (path / name).is_file()), None)
+    if file is not None:
+        return read_intrinsics(file)
+    width, height = read_size(pair.color_path for pair in images)
+    if (width, height) != (PRIMESENSE.width, PRIMESENSE.height):
+        raise SlamError(
+            f"the folder tells no camera, and images of {width}x{height} pixels are not of Open3D's"
+            f" default, which has {PRIMESENSE.width}x{PRIMESENSE.height}; give the camera that made"
+            f" them with --input.camera FILE.toml, or put its {_CAMERA_FILES[0]} there: {path}"
+        )
+    warnings.append(
+        "the folder tells no camera; it is taken to be Open3D's PrimeSenseDefault (fx = fy ="
+        f" {PRIMESENSE.fx:g}, cx = {PRIMESENSE.cx:g}, cy = {PRIMESENSE.cy:g},"
+        f" {PRIMESENSE.depth_scale:g} depth units per metre), unless --input.camera names it"
+    )
+    return PRIMESENSE
 
 
 def _read_truth(log: Path, images: list[ImagePair]) -> Trajectory:

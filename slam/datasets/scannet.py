@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.config import InputConfig
-from slam.datasets.cameras import UNITS_PER_M, camera_of, named_camera, rescaled
+from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
 from slam.datasets.images import FRAMES_PER_S, NumberedPair, numbered_pairs, read_size
 from slam.datasets.registration import Registration, resized
 from slam.datasets.sequence import ImagePair, Sequence
@@ -58,7 +58,4 @@ def _registration(folder: Path, pairs: list[NumberedPair]) -> Registration:
 
 
 def _read_camera(file: Path, size: tuple[int, int]) -> Camera:
-    K = read_matrix(file).tolist()
-    values = {"fx": K[0][0], "fy": K[1][1], "cx": K[0][2], "cy": K[1][2]}
-    width, height = size
-    return camera_of({"width": width, "height": height, **values, "depth_scale": UNITS_PER_M}, file)
+    return camera_of_matrix(read_matrix(file), size, file)

@@ -22,13 +22,19 @@ _READERS = 2
 _FRAMES_AHEAD = 4
 _SAMPLES = 4
 
+ColorReader = Callable[[Path], NDArray[np.uint8] | BrokenImage]
+"""Returns a colour image as (H, W, 3) uint8 RGB."""
+
 DepthReader = Callable[[Path], NDArray[np.float32] | BrokenImage]
 """Returns a depth image as (H, W) float32, metres, 0 where unknown."""
 
 
 @dataclass(frozen=True)
 class ImagePair:
-    """The two files of one frame; the time is the colour image's, seconds."""
+    """The two files of one frame; the time is the colour image's, seconds.
+
+    A frame of a video is a path as if the video were a folder: rgb.mp4/000012.
+    """
 
     timestamp_s: float
     color_path: Path
@@ -56,12 +62,14 @@ class Sequence:
         ground_truth: Trajectory | None = None,
         warnings: tuple[str, ...] = (),
         registration: Registration | None = None,
+        read_color_file: ColorReader | None = None,
         read_depth_file: DepthReader | None = None,
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
-        Colour and depth files that do not show the same pixel by pixel need a `registration`, and
-        depth files that are no images of 16 bits in the camera's depth scale a `read_depth_file`.
+        Colour and depth files that do not show the same pixel by pixel need a `registration`,
+        colour files that are no images a `read_color_file`, and depth files that are no images of
+        16 bits in the camera's depth scale a `read_depth_file`. Any thread may call those.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
@@ -70,6 +78,7 @@ class Sequence:
         self.camera = camera
         self.ground_truth = ground_truth
         self._registration = registration
+        self._read_color = read_color_file or read_color
         self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
         self._skipped: dict[float, BrokenImage] = {}
@@ -122,7 +131,7 @@ class Sequence:
 
     def _exists(self, pair: ImagePair) -> bool:
         for path in (pair.color_path, pair.depth_path):
-            if not path.is_file():
+            if not (path.is_file() or path.parent.is_file()):  # the latter is a video
                 self._skip(pair, BrokenImage(path, "the file is missing"))
                 return False
         return True
@@ -142,7 +151,7 @@ class Sequence:
         return doubts_about_depth(depths_m, self.camera.depth_scale)
 
     def _read(self, pair: ImagePair) -> Frame | BrokenImage:
-        rgb = read_color(pair.color_path)
+        rgb = self._read_color(pair.color_path)
         if isinstance(rgb, BrokenImage):
             return rgb
         color_camera = self._registration.color_camera if self._registration else self.camera

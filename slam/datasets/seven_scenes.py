@@ -7,6 +7,9 @@ sensors gave them, colour and depth not registered; the poses are the depth came
 focal length of 585 pixels. The rest of the calibration was never published. What is usual in its
 place: a colour camera of 525 pixels, and the motion between the two cameras that was measured on
 another Kinect (LIRIS, https://projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html).
+
+A. Zeng's TSDF tools (tsdf-fusion-python) have files of the same names with a camera-intrinsics.txt,
+which is of colour and depth alike: such images are taken to be registered.
 """
 
 import re
@@ -16,15 +19,16 @@ from pathlib import Path
 import numpy as np
 
 from slam.config import InputConfig
-from slam.datasets.cameras import named_camera, rescaled
-from slam.datasets.images import FRAMES_PER_S, numbered_images
+from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
+from slam.datasets.images import FRAMES_PER_S, numbered_images, read_size
 from slam.datasets.registration import Registration
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import read_pose_files
+from slam.datasets.true_poses import read_matrix, read_pose_files
 from slam.geometry import se3
 from slam.types import Camera
 
-_NAME = re.compile(r"frame-(\d+)\.color\.png")
+_NAME = re.compile(r"frame-(\d+)\.color\.(?:png|jpg)")
+_CAMERA_FILE = "camera-intrinsics.txt"
 _T_COLOR_DEPTH = np.array(
     [
         [0.99996518, 0.00267651, -0.00790410, -0.02555894],
@@ -43,15 +47,16 @@ KINECT = Registration(
 def open_seven_scenes(path: Path, config: InputConfig) -> Sequence:
     """Open a folder of frame-*.color.png, .depth.png (mm, 65535 unknown) and .pose.txt, at 30 Hz.
 
-    Where a camera is named, colour and depth are taken to be registered to it.
+    Where a camera is named, or camera-intrinsics.txt is in the folder or the one above, colour and
+    depth are taken to be registered to it.
     """
     warnings: list[str] = []
-    named = named_camera(path, config)
-    registration = None if named else KINECT
     images = [
         ImagePair(number / FRAMES_PER_S, color, _beside(color, "depth.png"))
         for number, color in numbered_images(path, _NAME).items()
     ]
+    camera = named_camera(path, config) or _own_camera(path.resolve(), images)
+    registration = None if camera else KINECT
     poses = [(pair.timestamp_s, _beside(pair.color_path, "pose.txt")) for pair in images]
     truth = read_pose_files(poses, warnings)
     if truth and registration:
@@ -59,7 +64,7 @@ def open_seven_scenes(path: Path, config: InputConfig) -> Sequence:
         truth = replace(truth, T_world_cam=truth.T_world_cam @ T_depth_color)
     return Sequence(
         path.resolve().name,
-        rescaled(named or KINECT.camera, config),
+        rescaled(camera or KINECT.camera, config),
         images,
         ground_truth=truth,
         warnings=tuple(warnings),
@@ -67,5 +72,14 @@ def open_seven_scenes(path: Path, config: InputConfig) -> Sequence:
     )
 
 
+def _own_camera(path: Path, images: list[ImagePair]) -> Camera | None:
+    files = (path / _CAMERA_FILE, path.parent / _CAMERA_FILE)
+    file = next((file for file in files if file.is_file()), None)
+    if file is None:
+        return None
+    size = read_size(pair.color_path for pair in images)
+    return camera_of_matrix(read_matrix(file, size=3), size, file)
+
+
 def _beside(color: Path, kind: str) -> Path:
-    return color.with_name(color.name.replace("color.png", kind))
+    return color.with_name(f"{color.name.split('.')[0]}.{kind}")

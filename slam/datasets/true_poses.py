@@ -95,8 +95,8 @@ def _next_matrix(lines: Iterator[tuple[int, str]], after: int, file: Path) -> Fl
     return np.array(rows, dtype=np.float64)
 
 
-def read_matrix(file: Path) -> FloatArray:
-    """Read a text file that holds a (4, 4) matrix and nothing else; infinite values come as such.
+def read_matrix(file: Path, size: int = 4) -> FloatArray:
+    """Read a text file that holds a square matrix and nothing else; infinite values come as such.
 
     Raises:
         LoopcloseError: it holds something else.
@@ -106,9 +106,9 @@ def read_matrix(file: Path) -> FloatArray:
         values = [float(field) for field in text.replace(",", " ").split()]
     except ValueError:
         values = []
-    if len(values) != 16:
-        raise SlamError(f"the file does not hold a matrix of 4 x 4 numbers: {file}")
-    return np.array(values).reshape(4, 4)
+    if len(values) != size**2:
+        raise SlamError(f"the file does not hold a matrix of {size} x {size} numbers: {file}")
+    return np.array(values).reshape(size, size)
 
 
 def rigid(T_a_b: FloatArray, what: str, file: Path) -> FloatArray:

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings in the format of the TUM RGB-D benchmark: rgb.txt, depth.txt, groundtruth.txt."""
+"""Recordings in the format of the TUM RGB-D benchmark: rgb.txt, depth.txt, groundtruth.txt.
 
+Or with images already paired by its associate.py, or as ORB-SLAM asks for: associations.txt alone.
+"""
+
+import re
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from placerec.datasets.tum_lists import nearest, read_images
+from placerec.datasets.tum_lists import as_numbers, nearest, read_images, read_lines
 from slam.config import InputConfig
 from slam.datasets.cameras import freiburg_camera, named_camera, rescaled
+from slam.datasets.images import is_depth
 from slam.datasets.sequence import ImagePair, Sequence
 from slam.datasets.true_poses import in_order, read_pose_list
 from slam.types import FloatArray, IntArray, SlamError
 
+_SEPARATOR = re.compile(r"[\s,]+")
 _NEIGHBOURS = 8  # a stamp's partner is looked for among this many nearest ones
 _MANY_UNPAIRED = 0.1
 
@@ -36,11 +42,18 @@ def open_tum(path: Path, config: InputConfig) -> Sequence:
             f"{unpaired} of {len(color_s)} colour images have no depth image within"
             f" {config.max_time_difference_s:g} s and are not used"
         )
+    images = [ImagePair(float(color_s[i]), color_paths[i], depth_paths[k]) for i, k in pairs]
+    return _sequence(path, config, images, warnings)
+
+
+def _sequence(
+    path: Path, config: InputConfig, images: list[ImagePair], warnings: list[str]
+) -> Sequence:
     truth = path / "groundtruth.txt"
     return Sequence(
         path.resolve().name,
         rescaled(named_camera(path, config) or freiburg_camera(path), config),
-        [ImagePair(float(color_s[i]), color_paths[i], depth_paths[k]) for i, k in pairs],
+        images,
         ground_truth=read_pose_list(truth, warnings) if truth.is_file() else None,
         warnings=tuple(warnings),
     )
@@ -50,6 +63,58 @@ def _read_image_list(file: Path, warnings: list[str]) -> tuple[FloatArray, list[
     stamps_s, paths = read_images(file)
     kept = in_order(stamps_s, file, warnings)
     return stamps_s[kept], [paths[i] for i in kept]
+
+
+def open_associations(path: Path, config: InputConfig) -> Sequence:
+    """Open a folder of associations.txt and, where the truth is known, groundtruth.txt.
+
+    A line is `time image time image`; which of the two is depth the images themselves tell, or the
+    names of their folders.
+    """
+    warnings: list[str] = []
+    file = path / "associations.txt"
+    rows = [_read_association(number, line, file) for number, line in read_lines(file)]
+    if not rows:
+        raise SlamError(f"the list names no image: {file}")
+    if all(first_s == second_s == int(first_s) for (first_s, _), (second_s, _) in rows):
+        raise SlamError(
+            "the list counts images and tells no times in seconds; ICL-NUIM's do, but then there is"
+            f" a *.gt.freiburg in the folder: {file}"
+        )
+    if _depth_is_first(rows, file):
+        rows = [(second, first) for first, second in rows]
+    images = [ImagePair(time_s, color, depth) for (time_s, color), (_, depth) in rows]
+    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
+    return _sequence(path, config, [images[i] for i in kept], warnings)
+
+
+_Stamped = tuple[float, Path]
+
+
+def _read_association(number: int, line: str, file: Path) -> tuple[_Stamped, _Stamped]:
+    fields = _SEPARATOR.split(line)
+    stamps_s = as_numbers(" ".join(fields[::2]))
+    if len(fields) != 4 or stamps_s is None:
+        raise SlamError(f'line {number} is not "time image time image": {line!r}: {file}')
+    first, second = (file.parent / name for name in fields[1::2])
+    return (stamps_s[0], first), (stamps_s[1], second)
+
+
+def _depth_is_first(rows: list[tuple[_Stamped, _Stamped]], file: Path) -> bool:
+    for (_, first), (_, second) in rows:
+        kinds = [is_depth(first), is_depth(second)]
+        if kinds[0] != kinds[1]:
+            return kinds[0]
+        if first.is_file() and second.is_file():
+            break
+    (_, first), (_, second) = rows[0]
+    named = ["depth" in path.relative_to(file.parent).as_posix() for path in (first, second)]
+    if named[0] != named[1]:
+        return named[0]
+    raise SlamError(
+        f"which image of a line is depth is not known: neither {first.name} nor {second.name}"
+        f" alone has one channel of 16 bits, or depth in its path: {file}"
+    )
 
 
 def associate(first_s: FloatArray, second_s: FloatArray, max_difference_s: float) -> IntArray:

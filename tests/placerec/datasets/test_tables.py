@@ -12,6 +12,12 @@ def test_csv_gives_the_named_columns_in_the_order_asked(tmp_path):
     assert rows == [(2, ("", "a,b.jpg")), (3, ("2", "c.jpg"))]
 
 
+def test_blanks_behind_commas_do_not_count(tmp_path):
+    file = tmp_path / "table.csv"
+    file.write_text('path, floor\n"a, b.jpg", 2\n')
+    assert list(read_csv(file, ("floor", "path"))) == [(2, ("2", "a, b.jpg"))]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -3,6 +3,8 @@
 
 import json
 import re
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -168,6 +170,16 @@ def write_tum(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_associations(folder: Path, walk: Walk) -> Path:
+    write_tum(folder, walk)
+    lists = [folder / "rgb.txt", folder / "depth.txt"]
+    rows = zip(*(file.read_text().splitlines() for file in lists), strict=True)
+    (folder / "associations.txt").write_text("".join(f"{a} {b}\n" for a, b in rows))
+    for file in lists:
+        file.unlink()
+    return folder
+
+
 # What POV-Ray's left-handed world and camera (y upwards) make of ours.
 POV = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -209,6 +221,19 @@ def write_seven_scenes(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_replica(folder: Path, walk: Walk) -> Path:
+    for i, (rgb, depth_m) in enumerate(zip(walk.rgb, walk.depth_m, strict=True)):
+        save(folder / f"results/frame{i:06d}.png", rgb)
+        save(folder / f"results/depth{i:06d}.png", depth_m, 6553.5)
+    lines = [" ".join(f"{value:.18e}" for value in T.ravel()) for T in walk.T_world_depth]
+    (folder / "traj.txt").write_text("\n".join(lines) + "\n")
+    camera = walk.depth_camera
+    values = {"w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy}
+    values |= {"cx": camera.cx, "cy": camera.cy, "scale": 6553.5}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": values}))
+    return folder
+
+
 def write_scannet(folder: Path, walk: Walk) -> Path:
     for i, T in enumerate(walk.T_world_depth):
         save(folder / f"color/{i}.png", walk.rgb[i])
@@ -244,6 +269,12 @@ def write_open3d(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_open3d_sample(folder: Path, walk: Walk) -> Path:
+    write_open3d(folder, walk)
+    (folder / "camera_intrinsic.json").unlink()
+    return folder
+
+
 def write_realsense(folder: Path, walk: Walk) -> Path:
     write_images(folder, walk)
     camera = walk.depth_camera
@@ -264,13 +295,100 @@ def write_realsense(folder: Path, walk: Walk) -> Path:
     return folder
 
 
+def write_stray_scanner(folder: Path, walk: Walk) -> Path:
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw\n"]
+    for i, (rgb, depth_m) in enumerate(zip(walk.rgb, walk.depth_m, strict=True)):
+        save(folder / f"rgb/{i:06d}.png", rgb)
+        save(folder / f"depth/{i:06d}.png", depth_m, 1000.0)
+        (folder / "confidence").mkdir(exist_ok=True)
+        confidence = np.full(depth_m.shape, 2, np.uint8)
+        assert cv2.imwrite(str(folder / f"confidence/{i:06d}.png"), confidence)
+        fields = pose_line(f"{i:06d}", walk.T_world_depth[i]).split()
+        rows.append(", ".join([f"{i / FRAMES_PER_S:.9f}", *fields]) + "\n")
+    (folder / "odometry.csv").write_text("".join(rows))
+    K = walk.color_camera.matrix
+    (folder / "camera_matrix.csv").write_text("\n".join(f"{a}, {b}, {c}" for a, b, c in K))
+    return folder
+
+
+def write_exr(
+    path: Path, channels: dict[str, np.ndarray], compression: int = 3, flags: int = 2
+) -> None:
+    """Write an OpenEXR image of scan lines: not compressed (0), or by ZIPS (2) or ZIP (3)."""
+    kinds = {np.dtype(np.uint32): 0, np.dtype(np.float16): 1, np.dtype(np.float32): 2}
+    (height, width), names = next(iter(channels.values())).shape, sorted(channels)
+    listed = b"".join(
+        name.encode() + b"\0" + struct.pack("<iIii", kinds[channels[name].dtype], 0, 1, 1)
+        for name in names
+    )
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    header = struct.pack("<ii", 20000630, flags)
+    for name, kind, value in (
+        ("channels", "chlist", listed + b"\0"),
+        ("compression", "compression", bytes([compression])),
+        ("dataWindow", "box2i", window),
+        ("displayWindow", "box2i", window),
+        ("lineOrder", "lineOrder", b"\0"),
+        ("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
+        ("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0)),
+        ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
+    ):
+        header += f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value
+    header += b"\0"
+    rows = [b"".join(channels[name][y].tobytes() for name in names) for y in range(height)]
+    step = 16 if compression == 3 else 1
+    chunks = []
+    for y in range(0, height, step):
+        plain = b"".join(rows[y : y + step])
+        data = deflated(plain) if compression else plain
+        data = data if len(data) < len(plain) else plain  # as the format wants it
+        chunks.append(struct.pack("<ii", y, len(data)) + data)
+    starts = np.cumsum([0, *map(len, chunks[:-1])]) + len(header) + 8 * len(chunks)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(header + starts.astype("<u8").tobytes() + b"".join(chunks))
+
+
+def deflated(plain: bytes) -> bytes:
+    values = np.frombuffer(plain, np.uint8).astype(np.int64)
+    halves = np.concatenate([values[0::2], values[1::2]])
+    differences = np.diff(halves, prepend=0) + 128
+    differences[0] = halves[0]
+    return zlib.compress(differences.astype(np.uint8).tobytes())
+
+
+@pytest.fixture
+def save_exr() -> Callable[..., None]:
+    return write_exr
+
+
+def write_record3d(folder: Path, walk: Walk) -> Path:
+    for i, (rgb, depth_m) in enumerate(zip(walk.rgb, walk.depth_m, strict=True)):
+        save(folder / f"rgb/{i}.png", rgb)
+        write_exr(folder / f"depth/{i}.exr", {"R": np.where(depth_m > 0.0, depth_m, np.nan)})
+    camera, poses = walk.color_camera, [pose_line(0, T).split()[1:] for T in walk.T_world_depth]
+    metadata = {
+        "w": camera.width,
+        "h": camera.height,
+        "K": camera.matrix.T.ravel().tolist(),
+        "fps": FRAMES_PER_S,
+        "poses": [[float(value) for value in [*pose[3:], *pose[:3]]] for pose in poses],
+    }
+    (folder / "metadata.json").write_text(json.dumps(metadata))
+    return folder
+
+
 WRITERS: dict[str, Writer] = {
     "tum": write_tum,
     "icl_nuim": write_icl_nuim,
     "icl_nuim_original": write_icl_nuim_original,
     "seven_scenes": write_seven_scenes,
+    "replica": write_replica,
+    "stray_scanner": write_stray_scanner,
+    "record3d": write_record3d,
     "scannet": write_scannet,
     "open3d": write_open3d,
+    "associations": write_associations,
+    "open3d_sample": write_open3d_sample,
     "realsense": write_realsense,
 }
 

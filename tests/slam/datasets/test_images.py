@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.images import BrokenImage
-from slam.datasets.images import read_color, read_depth
+from slam.datasets.images import is_depth, read_color, read_depth
 from slam.types import SlamError
 
 NOISE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
@@ -106,3 +106,13 @@ def test_orientation_marks_do_not_turn_the_image(tmp_path: Path) -> None:
     rgb = read_color(path)
     assert not isinstance(rgb, BrokenImage)
     assert rgb.shape == (48, 64, 3)
+
+
+def test_depth_is_told_by_its_kind(tmp_path: Path) -> None:
+    path = tmp_path / "image.png"
+    assert not is_depth(path)
+    for image, answer in ((DEPTH, True), (NOISE, False), (NOISE[..., 0], False)):
+        path.write_bytes(encoded(".png", image))
+        assert is_depth(path) == answer
+    path.write_bytes(encoded(".png", np.dstack([DEPTH] * 3)))
+    assert not is_depth(path)

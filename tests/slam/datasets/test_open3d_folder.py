@@ -9,7 +9,9 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from slam.datasets import Sequence, write_camera
+from slam.config import InputConfig
+from slam.datasets import Sequence, open_sequence, write_camera
+from slam.datasets.open3d_folder import PRIMESENSE
 from slam.types import Camera
 
 Export = Callable[[str, Any], Path]
@@ -174,6 +176,52 @@ def test_a_malformed_trajectory_is_named(
 ) -> None:
     (tiny / "trajectory.log").write_text("\n".join(lines) + "\n")
     assert fails(tiny, said).endswith("trajectory.log")
+
+
+@pytest.fixture(scope="module")
+def primesense(take: Callable[..., Any]) -> Any:
+    """Return 3 frames of the camera that Open3D's examples take for granted."""
+    return take(3, PRIMESENSE)
+
+
+def test_without_a_camera_it_is_the_makers_default_and_said(
+    export: Export, primesense: Any, opened: Opened
+) -> None:
+    folder = export("open3d_sample", primesense)
+    (folder / "odometry.log").write_text("0 0 1\n")  # between images: not read
+    sequence = opened(folder)
+    assert sequence.camera == PRIMESENSE
+    (said,) = sequence.warnings
+    assert "PrimeSenseDefault (fx = fy = 525, cx = 319.5, cy = 239.5, 1000 depth units" in said
+    assert sequence.ground_truth is not None
+    np.testing.assert_allclose(sequence.ground_truth.T_world_cam, primesense.T_world_depth)
+    assert (sequence.frame(1).rgb == primesense.rgb[1]).all()
+    np.testing.assert_allclose(sequence.frame(1).depth_m, primesense.depth_m[1], atol=0.0006)
+
+
+def test_without_a_camera_a_named_one_is_asked_for_nothing(
+    export: Export, tiny_walk: Any, tmp_path: Path
+) -> None:
+    folder = export("open3d_sample", tiny_walk)
+    write_camera(tmp_path / "mine.toml", tiny_walk.camera_in(1000.0))
+    sequence = open_sequence(folder, InputConfig(camera=tmp_path / "mine.toml"))
+    assert sequence.camera == tiny_walk.camera_in(1000.0)
+    assert sequence.warnings == ()
+    assert [frame.rgb[0, 0, 0] for frame in sequence] == list(range(6))
+
+
+def test_without_a_camera_images_of_another_size_are_refused(
+    export: Export, tiny_walk: Any, fails: Fails
+) -> None:
+    said = fails(export("open3d_sample", tiny_walk), "images of 32x24 pixels are not of Open3D's")
+    assert "--input.camera FILE.toml" in said and said.endswith("open3d_sample")
+
+
+def test_the_samples_camera_file_has_a_name_of_its_own(tiny: Path, opened: Opened) -> None:
+    camera = opened(tiny).camera
+    (tiny / "camera_intrinsic.json").rename(tiny / "camera_primesense.json")
+    sequence = opened(tiny)
+    assert (sequence.camera, sequence.warnings) == (camera, ())
 
 
 @pytest.fixture

@@ -160,3 +160,57 @@ def test_rounding_in_a_pose_file_is_mended(tiny: Path, opened: Opened) -> None:
     R = truth.T_world_cam[3, :3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(R, [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]], atol=2e-3)
+
+
+@pytest.fixture
+def tsdf(tiny: Path, tiny_walk: Any) -> Path:
+    """Write the tiny frames as the TSDF tools have them."""
+    (tiny / "camera.toml").unlink()
+    for file in tiny.glob("*.color.png"):
+        cv2.imwrite(str(file.with_suffix(".jpg")), cv2.imread(str(file)))
+        file.unlink()
+    K = tiny_walk.color_camera.matrix
+    (tiny / "camera-intrinsics.txt").write_text("".join(f" {a:e} {b:e} {c:e} \n" for a, b, c in K))
+    return tiny
+
+
+@pytest.mark.parametrize("where", ["inside", "above"])
+def test_with_intrinsics_of_both_nothing_is_moved(
+    tsdf: Path, tiny_walk: Any, where: str, opened: Opened
+) -> None:
+    if where == "above":
+        (tsdf / "camera-intrinsics.txt").rename(tsdf.parent / "camera-intrinsics.txt")
+    sequence = opened(tsdf)
+    assert sequence.camera == tiny_walk.camera_in(1000.0)
+    assert sequence.ground_truth is not None
+    np.testing.assert_array_equal(sequence.ground_truth.T_world_cam, tiny_walk.T_world_depth)
+    np.testing.assert_allclose(sequence.timestamps_s, np.arange(6) / 30.0)
+    for i, frame in enumerate(sequence):
+        assert abs(int(frame.rgb[0, 0, 0]) - i) <= 1
+        np.testing.assert_allclose(frame.depth_m, 1.0 + i / 10.0)
+
+
+def test_a_named_camera_goes_before_the_intrinsics(
+    tsdf: Path, tiny_walk: Any, opened: Opened
+) -> None:
+    write_camera(tsdf / "camera.toml", tiny_walk.camera_in(500.0))
+    assert opened(tsdf).camera == tiny_walk.camera_in(500.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "a matrix of 3 x 3 numbers"),
+        ("30 0 15.5 0\n0 30 11.5 0\n0 0 1 0\n0 0 0 1\n", "a matrix of 3 x 3 numbers"),
+        ("nan 0 15.5\n0 30 11.5\n0 0 1\n", "camera key fx = nan"),
+        ("585 0 320\n0 585 240\n0 0 1\n", "cx, cy = 320, 240 lie outside the image of 32x24"),
+    ],
+)
+def test_intrinsics_that_are_none_are_named(tsdf: Path, text: str, said: str, fails: Fails) -> None:
+    (tsdf / "camera-intrinsics.txt").write_text(text)
+    assert fails(tsdf, said).endswith("camera-intrinsics.txt")
+
+
+def test_depth_of_another_size_than_colour_is_refused(tsdf: Path, fails: Fails) -> None:
+    cv2.imwrite(str(tsdf / "frame-000000.depth.png"), np.ones((12, 16), np.uint16))
+    fails(tsdf, "a depth image has 16x12 pixels but its colour image 32x24")

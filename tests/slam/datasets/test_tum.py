@@ -3,7 +3,9 @@ import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,11 +13,13 @@ from hypothesis import strategies as st
 
 from placerec.datasets.tum_lists import read_lines
 from slam.config import InputConfig
-from slam.datasets import open_sequence
+from slam.datasets import Sequence, open_sequence
 from slam.datasets.tum import associate
 
 MakeFolder = Callable[..., Path]
+Export = Callable[[str, Any], Path]
 Fails = Callable[..., str]
+Opened = Callable[[Path], Sequence]
 CONFIG = InputConfig()
 DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[4] / "shared/data"))
 DESK = DATA / "rgbd_dataset_freiburg1_desk"
@@ -260,3 +264,105 @@ def test_a_limit_longer_than_the_recording_pairs_it_all() -> None:
     pairs = associate(first, first + 0.001, 1e9)
     assert (pairs[:, 0] == pairs[:, 1]).all()
     assert len(pairs) == 5000
+
+
+@pytest.fixture
+def associated(export: Export, tiny_walk: Any) -> Path:
+    """Write a folder of associations.txt alone, colour first."""
+    return export("associations", tiny_walk)
+
+
+def rewrite(folder: Path, change: Callable[[list[str]], list[str]]) -> None:
+    """Give each line of the list as its four fields, and write what comes back."""
+    file = folder / "associations.txt"
+    rows = [change(line.split()) for line in file.read_text().splitlines()]
+    file.write_text("".join(" ".join(row) + "\n" for row in rows))
+
+
+def check_walk(sequence: Sequence, walk: Any) -> None:
+    np.testing.assert_allclose(sequence.timestamps_s, np.arange(6) / 30.0)
+    for i, frame in enumerate(sequence):
+        assert frame.rgb[0, 0, 0] == i
+        np.testing.assert_allclose(frame.depth_m, 1.0 + i / 10.0, atol=1e-6)
+    assert sequence.camera == walk.camera_in(5000.0)
+    assert sequence.ground_truth is not None
+    np.testing.assert_allclose(sequence.ground_truth.T_world_cam, walk.T_world_depth)
+    assert sequence.warnings == ()
+
+
+def test_associated_images_come_with_camera_and_truth(
+    associated: Path, tiny_walk: Any, opened: Opened
+) -> None:
+    check_walk(opened(associated), tiny_walk)
+
+
+def test_depth_may_come_first_whatever_its_folder_is_called(
+    associated: Path, tiny_walk: Any, opened: Opened
+) -> None:
+    rewrite(associated, lambda row: [*row[2:], *row[:2]])
+    check_walk(opened(associated), tiny_walk)
+    (associated / "depth").rename(associated / "d")
+    rewrite(associated, lambda row: [row[0], row[1].replace("depth", "d"), *row[2:]])
+    check_walk(opened(associated), tiny_walk)
+
+
+def test_the_folders_name_tells_depth_where_the_first_images_do_not(
+    associated: Path, opened: Opened, fails: Fails
+) -> None:
+    colour_only = cv2.imread(str(associated / "rgb/0.png"))
+    cv2.imwrite(str(associated / "depth/0.png"), colour_only)
+    rewrite(associated, lambda row: [*row[2:], *row[:2]])
+    fails(associated, "a depth image has 3 channel(s) of uint8")
+    (associated / "depth").rename(associated / "d")
+    rewrite(associated, lambda row: [row[0], row[1].replace("depth", "d"), *row[2:]])
+    said = fails(associated, "which image of a line is depth is not known: neither 0.png nor 0.png")
+    assert said.endswith("associations.txt")
+
+
+def test_the_time_of_an_associated_frame_is_the_colour_images(
+    associated: Path, opened: Opened
+) -> None:
+    rewrite(associated, lambda row: [row[0], row[1], str(float(row[2]) + 0.011), row[3]])
+    np.testing.assert_allclose(opened(associated).timestamps_s, np.arange(6) / 30.0)
+
+
+def test_associated_images_are_sorted_and_the_missing_skipped(
+    associated: Path, opened: Opened
+) -> None:
+    lines = (associated / "associations.txt").read_text().splitlines()
+    (associated / "associations.txt").write_text("\n".join(["# pairs", *lines[::-1]]))
+    (associated / "depth/0.png").unlink()
+    cut = associated / "rgb/3.png"
+    cut.write_bytes(cut.read_bytes()[:-20])
+    sequence = opened(associated)
+    assert [frame.rgb[0, 0, 0] for frame in sequence] == [1, 2, 4, 5]
+    assert sequence.warnings[0] == "associations.txt is not in the order of time; it was sorted"
+
+
+def test_associated_images_of_an_unknown_camera_are_refused(associated: Path, fails: Fails) -> None:
+    (associated / "camera.toml").unlink()
+    fails(associated, "which camera made this sequence is not known")
+
+
+def test_without_poses_associated_images_have_no_truth(associated: Path, opened: Opened) -> None:
+    (associated / "groundtruth.txt").unlink()
+    assert opened(associated).ground_truth is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "the list names no image"),
+        ("# rgb depth\n", "the list names no image"),
+        ("0.1 rgb/1.png 0.1\n", 'line 1 is not "time image time image"'),
+        ("0.1 rgb/1.png 0.1 depth/1.png 4\n", 'line 1 is not "time image time image"'),
+        ("0.1 rgb/1.png soon depth/1.png\n", 'line 1 is not "time image time image"'),
+        ("nan rgb/1.png 0.1 depth/1.png\n", 'line 1 is not "time image time image"'),
+        ("1 rgb/1.png 1 depth/1.png\n", "the list counts images and tells no times"),
+    ],
+)
+def test_an_association_list_that_is_wrong_is_named(
+    associated: Path, text: str, said: str, fails: Fails
+) -> None:
+    (associated / "associations.txt").write_text(text)
+    assert fails(associated, said).endswith("associations.txt")
