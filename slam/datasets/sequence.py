@@ -22,6 +22,8 @@ _READERS = 2
 _FRAMES_AHEAD = 4
 _SAMPLES = 4
 
+ColorReader = Callable[[Path], NDArray[np.uint8] | BrokenImage]
+"""Returns a colour image as (H, W, 3) uint8 RGB."""
 DepthReader = Callable[[Path], NDArray[np.float32] | BrokenImage]
 """Returns a depth image as (H, W) float32, metres, 0 where unknown."""
 
@@ -56,12 +58,16 @@ class Sequence:
         ground_truth: Trajectory | None = None,
         warnings: tuple[str, ...] = (),
         registration: Registration | None = None,
+        read_color_file: ColorReader = read_color,
         read_depth_file: DepthReader | None = None,
+        images_are_files: bool = True,
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
         Colour and depth files that do not show the same pixel by pixel need a `registration`, and
-        depth files that are no images of 16 bits in the camera's depth scale a `read_depth_file`.
+        depth files that are no images of 16 bits in the camera's depth scale a `read_depth_file`;
+        `read_color_file` is for colour that no image file holds.
+        Where `images_are_files` is false, paths are only names, which those functions know.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
@@ -70,10 +76,11 @@ class Sequence:
         self.camera = camera
         self.ground_truth = ground_truth
         self._registration = registration
+        self._read_color = read_color_file
         self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
         self._skipped: dict[float, BrokenImage] = {}
-        self._images = [pair for pair in images if self._exists(pair)]
+        self._images = [pair for pair in images if not images_are_files or self._exists(pair)]
         self.timestamps_s: FloatArray = np.array([pair.timestamp_s for pair in self._images])
         self._warnings = [*warnings, *doubts_about_intrinsics(camera), *self._doubts_about_depth()]
 
@@ -142,7 +149,7 @@ class Sequence:
         return doubts_about_depth(depths_m, self.camera.depth_scale)
 
     def _read(self, pair: ImagePair) -> Frame | BrokenImage:
-        rgb = read_color(pair.color_path)
+        rgb = self._read_color(pair.color_path)
         if isinstance(rgb, BrokenImage):
             return rgb
         color_camera = self._registration.color_camera if self._registration else self.camera
