@@ -122,5 +122,6 @@ def _as_one_line(path: Path) -> Iterator[None]:
     except Exception as error:  # rosbags lets through whatever broken bytes lead to
         why = " ".join(str(error).split()) or type(error).__name__
         raise SlamError(
-            f"the bag is damaged, or was not closed when it was recorded: {why}: {path}"
+            "the bag is damaged, or was not closed when it was recorded (`rosbag reindex` or `mcap"
+            f" recover` may mend it): {why}: {path}"
         ) from error
