@@ -71,9 +71,9 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
             "there is no such folder; give the folder of a recording, or a short name of the TUM"
             f" RGB-D benchmark such as fr1_desk: {path}"
         )
-    if path.is_file() and path.suffix in SUFFIXES:
-        return open_bag(path, config)
     if not path.is_dir():
+        if path.suffix in SUFFIXES:
+            return open_bag(path, config)
         raise SlamError(
             f"expected the folder of a recording, or a bag ({', '.join(SUFFIXES)}), found a file:"
             f" {path}"

@@ -3,7 +3,7 @@
 
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,7 @@ class Bag:
         with _as_one_line(path):
             self._reader: Any = Reader1(path) if is_ros1 else Reader2(path)
             self._reader.open()
-        weakref.finalize(self, self._reader.close)
+        weakref.finalize(self, _close, self._reader)
         self.topics = {
             each.topic: Topic(each.topic, _OLD_NAMES.get(each.msgtype, each.msgtype))
             for each in sorted(self._reader.connections, key=lambda each: str(each.topic))
@@ -109,6 +109,11 @@ def time_ns(message: Any) -> int:
     """Return when what a message tells was so, by its header, nanoseconds."""
     stamp = message.header.stamp
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _close(reader: Any) -> None:
+    with suppress(Exception):  # SQLite does not close while a message is still being looked for
+        reader.close()
 
 
 @contextmanager

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import gc
 import subprocess
 import sys
 from collections.abc import Callable
@@ -129,3 +130,18 @@ def test_files_are_closed_with_the_bag(recorder: Callable[..., Any]) -> None:
     assert not file.closed
     del bag
     assert file.closed
+
+
+def test_a_bag_that_is_no_longer_read_goes_in_silence(
+    recorder: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bags = recorder("ros2")
+    bags.frames(20)
+    bag: Any = Bag(bags.write())
+    bag.itself = bag.messages(bag.topics["/camera/rgb/image_color"])
+    next(bag.itself)
+    complaints: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", complaints.append)
+    del bag
+    gc.collect()
+    assert complaints == []

@@ -54,7 +54,7 @@ def test_a_lens_that_does_nothing_is_of_any_model(bags: Any, model: str, d: Any)
 )
 def test_another_lens_is_refused(bags: Any, model: str, d: Any) -> None:
     message = bags.info(bags.camera, distortion_model=model, d=d)
-    with pytest.raises(SlamError, match="--input.camera FILE.toml: ") as caught:
+    with pytest.raises(SlamError, match=r"--input\.camera FILE\.toml: ") as caught:
         camera_of_info(message, PATH)
     assert repr(model) in str(caught.value) and str(caught.value).endswith(str(PATH))
 
