@@ -16,18 +16,27 @@ from slam.datasets.bags.image_messages import color_image, depth_image
 from slam.datasets.bags.messages import Messages
 from slam.datasets.bags.topics import (
     ImageTopic,
-    camera_info_beside,
+    camera_infos_beside,
     choose_camera_info,
     choose_color,
     choose_depth,
     image_topics,
 )
 from slam.datasets.bags.transforms import fixed_transform
-from slam.datasets.cameras import UNITS_PER_M, named_camera, rescaled
+from slam.datasets.cameras import (
+    UNITS_PER_M,
+    freiburg_camera,
+    is_freiburg,
+    named_camera,
+    rescaled,
+)
 from slam.datasets.registration import Registration
 from slam.datasets.sequence import ImagePair, Sequence
 from slam.datasets.tum import pair_in_time
-from slam.types import Camera, SlamError
+from slam.types import Camera, FloatArray, SlamError
+
+# What OpenNI's driver says of every camera: that of the benchmark's bags was calibrated later.
+_OPENNI = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=UNITS_PER_M)
 
 
 def open_bag(path: Path, config: InputConfig) -> Sequence:
@@ -73,7 +82,10 @@ def _read_camera(bag: Bag, topic: Topic, images: ImageTopic) -> Camera:
     if message is None:
         raise SlamError(f"the topic of the camera's calibration is empty: {path}")
     is_rectified = "image_rect" in images.plain_name.name
-    return camera_of_info(message, path, is_rectified=is_rectified)
+    camera = camera_of_info(message, path, is_rectified=is_rectified)
+    if camera == _OPENNI and is_freiburg(bag.path):
+        return freiburg_camera(bag.path)
+    return camera
 
 
 def _registration(
@@ -84,17 +96,18 @@ def _registration(
     Raises:
         SlamError: it is not, and the bag does not tell where the cameras are.
     """
-    topic = camera_info_beside(bag, depth)
-    depth_camera = _read_camera(bag, topic, depth) if topic else camera
+    beside = camera_infos_beside(bag, depth)
+    depth_camera = _read_camera(bag, beside[0], depth) if len(beside) == 1 else camera
     depth_camera = replace(depth_camera, depth_scale=camera.depth_scale)
     is_same = is_same_pinhole(camera, depth_camera)
-    is_one_frame = color.frame_id == depth.frame_id
-    if is_same and (is_one_frame or not (color.frame_id and depth.frame_id)):
-        return None
-    T_color_depth = np.eye(4) if is_one_frame else None
-    if T_color_depth is None:
-        T_color_depth = fixed_transform(bag, color.frame_id, depth.frame_id)
     frames = f"depth is of {depth.frame_id!r}, colour of {color.frame_id!r}"
+    T_color_depth: FloatArray | None = np.eye(4)
+    if color.frame_id != depth.frame_id and color.frame_id and depth.frame_id:
+        T_color_depth = fixed_transform(bag, color.frame_id, depth.frame_id)
+    elif (camera.width, camera.height) == (depth_camera.width, depth_camera.height):
+        # No two cameras have one place. What drivers that register depth say of its focal length
+        # is often that of a camera of this make.
+        return None
     if T_color_depth is None and is_same:
         warnings.append(
             f"{frames}, and neither /tf_static nor /tf joins them; depth is taken to be registered"
@@ -108,6 +121,8 @@ def _registration(
             " --input.depth-topic, or, if it is registered, the camera by --input.camera"
             f" FILE.toml: {bag.path}"
         )
+    if is_same and np.array_equal(T_color_depth, np.eye(4)):
+        return None
     if any((*camera.distortion, *depth_camera.distortion)):
         warnings.append(
             "depth is registered to colour as if no lens distorted, but one does: depth may be of"

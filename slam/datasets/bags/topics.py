@@ -142,21 +142,21 @@ def choose_camera_info(bag: Bag, color: ImageTopic, config: InputConfig) -> Topi
         SlamError: there is none, or there are several and the user names none.
     """
     found, setting = bag.of_types(CAMERA_INFO), "--input.camera-info-topic"
-    beside = camera_info_beside(bag, color)
-    if config.camera_info_topic is None and beside is not None:
-        return beside
     if not found:
         raise SlamError(
             f"the bag holds no {CAMERA_INFO}, so its camera is not known; name it by"
             f" --input.camera FILE.toml: {bag.path}"
         )
+    if config.camera_info_topic is None:
+        found = camera_infos_beside(bag, color)
     return _choose(bag, found, "calibrations", config.camera_info_topic, setting)
 
 
-def camera_info_beside(bag: Bag, images: ImageTopic) -> Topic | None:
-    """Return the topic of the calibration that belongs to images by its name, if there is one."""
-    topic = bag.topics.get(str(images.plain_name.parent / "camera_info"))
-    return topic if topic and topic.type == CAMERA_INFO else None
+def camera_infos_beside(bag: Bag, images: ImageTopic) -> list[Topic]:
+    """Return the topics of calibrations whose names have most in common with the images'."""
+    found = bag.of_types(CAMERA_INFO)
+    shared = [_shared_parts(PurePosixPath(each.name), images.plain_name) for each in found]
+    return [each for each, parts in zip(found, shared, strict=True) if parts == max(shared)]
 
 
 def choose_odometry(bag: Bag, types: Iterable[str], config: InputConfig) -> Topic:

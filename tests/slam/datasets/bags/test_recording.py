@@ -12,6 +12,7 @@ import pytest
 from placerec.datasets.images import BrokenImage
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
+from slam.datasets.cameras import FREIBURG
 from slam.datasets.images import read_color, read_depth
 from slam.datasets.tum import open_tum
 from slam.geometry import se3
@@ -204,17 +205,69 @@ def test_depth_of_another_camera_is_registered_to_colour(
     np.testing.assert_allclose(frame.depth_m[6, 8], 2.5, atol=1e-5)
 
 
-def test_one_frame_with_two_calibrations_is_registered_too(
+def test_a_lens_that_registering_does_not_regard_is_a_warning(
     recorder: Callable[..., Any], opened: Opened
 ) -> None:
     bags = recorder()
     bent = replace(bags.camera, fx=15.0, fy=15.0, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
-    with_two_cameras(bags, bent, "camera_rgb_optical_frame")
+    with_two_cameras(bags, bent)
+    bags.add("/tf", bags.transforms(("camera_rgb_optical_frame", "depth", np.eye(4))))
     sequence = opened(bags.write())
     depth_m = sequence.frame(0).depth_m
     assert np.unique(depth_m).tolist() == [0.0, 2.0]
     assert 0.1 < (depth_m > 0.0).mean() < 0.4  # at twice the focal length
     assert "as if no lens distorted" in sequence.warnings[0]
+
+
+def test_depth_in_the_frame_of_colour_is_registered_whatever_its_calibration(
+    recorder: Callable[..., Any], opened: Opened
+) -> None:
+    bags = recorder()
+    with_two_cameras(bags, replace(bags.camera, fx=15.0), "camera_rgb_optical_frame")
+    sequence = opened(bags.write())
+    assert sequence.camera == bags.camera
+    assert (sequence.frame(0).depth_m == 2.0).all()
+
+
+def test_depth_in_the_frame_of_colour_is_registered_to_its_own_size(
+    recorder: Callable[..., Any], opened: Opened
+) -> None:
+    bags = recorder()
+    half = Camera(16, 12, 15.0, 15.5, 7.5, 5.5)
+    with_two_cameras(bags, half, "camera_rgb_optical_frame")
+    sequence = opened(bags.write())
+    assert sequence.camera.fx == 15.0
+    frame = sequence.frame(0)
+    assert frame.rgb.shape == (12, 16, 3) and (frame.depth_m == 2.0).all()
+
+
+def test_two_names_of_one_place_are_registered(
+    recorder: Callable[..., Any], opened: Opened
+) -> None:
+    bags = recorder()
+    with_two_cameras(bags, bags.camera)
+    bags.add("/tf", bags.transforms(("camera_rgb_optical_frame", "depth", np.eye(4))))
+    sequence = opened(bags.write())
+    assert sequence.camera == bags.camera
+    assert (sequence.frame(0).depth_m == 2.0).all() and sequence.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "camera"),
+    [("rgbd_dataset_freiburg1_desk", FREIBURG["1"]), ("kitchen", None)],
+)
+def test_the_benchmarks_own_bags_have_its_calibration(
+    recorder: Callable[..., Any], opened: Opened, name: str, camera: Camera | None
+) -> None:
+    bags = recorder("ros1")
+    openni = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=1000.0)
+    bags.add(INFO, bags.info(openni))
+    bags.add("/camera/depth/camera_info", bags.info(openni))
+    bags.add(COLOR, bags.image(np.zeros((480, 640, 3), np.uint8), "rgb8"))
+    bags.add(DEPTH, bags.image(np.ones((480, 640), np.float32), "32FC1"))
+    sequence = opened(bags.write(name))
+    assert sequence.camera == (camera or openni)
+    assert (sequence.frame(0).depth_m == 1.0).all()
 
 
 def test_cameras_whose_places_are_not_told_cannot_be_registered(

@@ -10,7 +10,7 @@ from slam.config import InputConfig
 from slam.datasets.bags.bag import Bag
 from slam.datasets.bags.odometry import POSES
 from slam.datasets.bags.topics import (
-    camera_info_beside,
+    camera_infos_beside,
     choose_camera_info,
     choose_color,
     choose_depth,
@@ -182,6 +182,16 @@ def test_the_calibration_is_that_beside_the_images(holding: Setup) -> None:
         assert info_of(bag, named) == "/depth/camera_info"
 
 
+def test_a_calibration_is_found_where_librealsense_puts_it(holding: Setup) -> None:
+    bag = holding(
+        device_0__sensor_0__Depth_0__image__data="16UC1",
+        device_0__sensor_0__Depth_0__info__camera_info="info",
+        device_0__sensor_1__Color_0__image__data="rgb8",
+        device_0__sensor_1__Color_0__info__camera_info="info",
+    )
+    assert info_of(bag) == "/device_0/sensor_1/Color_0/info/camera_info"
+
+
 def test_another_calibration_serves_if_it_is_the_only_one(holding: Setup) -> None:
     assert info_of(holding(rgb__image="rgb8", elsewhere="info")) == "/elsewhere"
     bag = holding(rgb__image="rgb8", one="info", two="info")
@@ -189,7 +199,7 @@ def test_another_calibration_serves_if_it_is_the_only_one(holding: Setup) -> Non
     bag = holding(rgb__image="rgb8", rgb__camera_info="rgb8")
     config = InputConfig(color_topic="/rgb/image")
     images = image_topics(bag)
-    assert camera_info_beside(bag, choose_color(bag, images, config)) is None
+    assert camera_infos_beside(bag, choose_color(bag, images, config)) == []
     refused(info_of, "--input.camera FILE.toml", bag, config)
     named = InputConfig(camera_info_topic="/three")
     bag = holding(rgb__image="rgb8", one="info", two="info")
