@@ -52,7 +52,7 @@ class Bag:
                 "reading ROS bags needs the package rosbags: pip install 'loopclose[ros]'"
             ) from error
         self.path = path
-        is_ros1 = path.suffix == ".bag"
+        is_ros1 = path.suffix == ".bag" and not path.is_dir()
         # Types are taken from here, not from the bag: old bags of ROS 2 do not tell them.
         types = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
         if is_ros1:

@@ -50,6 +50,23 @@ def test_frames_come_as_they_were_recorded(of_every_kind: Any, opened: Opened) -
     assert not [each for each in threading.enumerate() if each.name.startswith("images")]
 
 
+def test_the_folder_of_a_bag_may_be_called_bag(
+    recorder: Callable[..., Any], opened: Opened
+) -> None:
+    bags = recorder("ros2")
+    bags.frames(2)
+    assert reds(opened(bags.write("desk.bag"))) == [0, 1]
+
+
+def test_one_file_of_the_folder_of_a_bag_will_do(
+    recorder: Callable[..., Any], opened: Opened
+) -> None:
+    bags = recorder("ros2")
+    bags.frames(2)
+    (file,) = bags.write().glob("*.db3")
+    assert reds(opened(file)) == [0, 1]
+
+
 def test_what_was_recorded_out_of_order_comes_in_the_order_of_time(
     of_every_kind: Any, opened: Opened
 ) -> None:
