@@ -36,6 +36,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
                                         Replica, Open3D, Redwood, RealSense, Stray Scanner or
                                         Record3D, told by what it holds
+  run_slam recording.bag                a ROS 1 bag; so for .mcap, or the folder of a ROS 2 bag
   run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
   run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
 
@@ -47,7 +48,7 @@ class Arguments:
     """What run_slam was asked to do."""
 
     sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
-    """Folder of a recording, short name of a TUM RGB-D benchmark sequence, or `demo`."""
+    """Folder of a recording, ROS bag, short name of a TUM RGB-D sequence, or `demo`."""
     more: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")
     ] = ()

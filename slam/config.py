@@ -44,7 +44,15 @@ class InputConfig(_Section):
     depth_scale: PositiveFloat | None = None
     """Depth image units per metre; overrides the camera's."""
     max_time_difference_s: PositiveFloat = 0.02
-    """Colour and depth images of a TUM folder further apart than this are not paired."""
+    """Colour and depth images of a TUM folder or a bag further apart than this are not paired."""
+    color_topic: str | None = None
+    """Topic of a bag's colour images; default: the only one that holds some."""
+    depth_topic: str | None = None
+    """Topic of a bag's depth images; default: the only one, or the one registered to colour."""
+    camera_info_topic: str | None = None
+    """Topic of the colour camera's calibration in a bag; default: the one beside the images."""
+    odometry_topic: str | None = None
+    """Topic of a bag's poses by another odometry; default: the only one that holds some."""
 
 
 class FeaturesConfig(_Section):

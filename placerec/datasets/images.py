@@ -49,6 +49,11 @@ def decode(path: Path, flags: int) -> MatLike | BrokenImage:
         content = path.read_bytes()
     except OSError as error:
         return BrokenImage(path, error.strerror or "cannot be read")
+    return decode_content(content, path, flags)
+
+
+def decode_content(content: bytes, path: Path, flags: int) -> MatLike | BrokenImage:
+    """Return the image that an image file, named `path`, with this content would hold."""
     if _is_cut_off(content):
         return BrokenImage(path, "the file is cut off")
     try:

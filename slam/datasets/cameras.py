@@ -66,6 +66,11 @@ def rescaled(camera: Camera, config: InputConfig) -> Camera:
     return camera if config.depth_scale is None else replace(camera, depth_scale=config.depth_scale)
 
 
+def is_freiburg(path: Path) -> bool:
+    """Return whether a name tells a camera of the TUM RGB-D benchmark."""
+    return bool(_FREIBURG_NAME.search(path.resolve().name))
+
+
 def freiburg_camera(folder: Path) -> Camera:
     """Return the camera of the TUM RGB-D benchmark that the folder's name tells.
 

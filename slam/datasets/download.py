@@ -76,7 +76,7 @@ def _short_name(name: str) -> str:
     hint = f"did you mean {' or '.join(close)}?" if close else "names look like fr1_desk;"
     raise SlamError(
         f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
-        f" the folder of a recording works too: {name}"
+        f" the folder of a recording, or a bag, works too: {name}"
     )
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam.config import InputConfig
+from slam.datasets.bags import open_bag
+from slam.datasets.bags.bag import SUFFIXES
 from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
 from slam.datasets.open3d_folder import open_open3d, open_realsense
 from slam.datasets.phones.record3d import open_record3d
@@ -89,6 +91,7 @@ FORMATS = (
         open_realsense,
     ),
     Format("Open3D or Redwood", (_COLOR, "depth/", _INTRINSICS), open_open3d),
+    Format("ROS 2 bag", ("metadata.yaml", "*.db3*|*.mcap*"), open_bag),
     Format("Open3D's samples", (_COLOR, "depth/"), open_open3d, without=_OF_OTHERS),
 )
 
@@ -97,7 +100,7 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
     """Open a recording in any known format.
 
     Raises:
-        LoopcloseError: there is no such folder, it fits no format, or what it holds cannot be used.
+        LoopcloseError: there is nothing, it fits no format, or what it holds cannot be used.
     """
     if not path.exists():
         raise SlamError(
@@ -105,7 +108,12 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
             f" RGB-D benchmark such as fr1_desk: {path}"
         )
     if not path.is_dir():
-        raise SlamError(f"expected the folder of a recording, found a file: {path}")
+        if path.suffix in SUFFIXES:
+            return open_bag(path, config)
+        raise SlamError(
+            f"expected the folder of a recording, or a bag ({', '.join(SUFFIXES)}), found a file:"
+            f" {path}"
+        )
     try:
         found = find_format(path)
         if found is None:

@@ -71,13 +71,15 @@ def numbered_images(folder: Path, name: re.Pattern[str] = ANY_IMAGE) -> dict[int
     return dict(sorted(found.items()))
 
 
+# Turning an image as its EXIF data asks would tear it away from its depth image.
+COLOR_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+
 _NO_DEPTH = np.iinfo(np.uint16).max  # some sensors' drivers write it instead of 0
 
 
 def read_color(path: Path) -> NDArray[np.uint8] | BrokenImage:
     """Return a colour image as (H, W, 3) uint8 RGB; grey images get three equal channels."""
-    # Turning an image as its EXIF data asks would tear it away from its depth image.
-    image = decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode(path, COLOR_FLAGS)
     if isinstance(image, BrokenImage):
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -98,8 +100,13 @@ def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenIm
             f"a depth image has {channels} channel(s) of {image.dtype}; it must have one channel"
             f" of 16 bits (uint16, {depth_scale:g} units per metre): {path}"
         )
-    image[image == _NO_DEPTH] = 0
-    return image.astype(np.float32) / np.float32(depth_scale)
+    return in_metres(image.astype(np.uint16, copy=False), depth_scale)
+
+
+def in_metres(image: NDArray[np.uint16], depth_scale: float) -> NDArray[np.float32]:
+    """Return depth of so many units per metre, 0 or 65535 where unknown, in metres, 0 there."""
+    known = np.where(image == _NO_DEPTH, np.uint16(0), image)
+    return known.astype(np.float32) / np.float32(depth_scale)
 
 
 def is_depth(path: Path) -> bool:

@@ -62,14 +62,16 @@ class Sequence:
         ground_truth: Trajectory | None = None,
         warnings: tuple[str, ...] = (),
         registration: Registration | None = None,
-        read_color_file: ColorReader | None = None,
+        read_color_file: ColorReader = read_color,
         read_depth_file: DepthReader | None = None,
+        images_are_files: bool = True,
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
         Colour and depth files that do not show the same pixel by pixel need a `registration`,
         colour files that are no images a `read_color_file`, and depth files that are no images of
-        16 bits in the camera's depth scale a `read_depth_file`. Any thread may call those.
+        16 bits in the camera's depth scale a `read_depth_file`. Any thread may call those. Where
+        `images_are_files` is false, paths are only names, which those functions know.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
@@ -78,11 +80,11 @@ class Sequence:
         self.camera = camera
         self.ground_truth = ground_truth
         self._registration = registration
-        self._read_color = read_color_file or read_color
+        self._read_color = read_color_file
         self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
         self._skipped: dict[float, BrokenImage] = {}
-        self._images = [pair for pair in images if self._exists(pair)]
+        self._images = [pair for pair in images if not images_are_files or self._exists(pair)]
         self.timestamps_s: FloatArray = np.array([pair.timestamp_s for pair in self._images])
         self._warnings = [*warnings, *doubts_about_intrinsics(camera), *self._doubts_about_depth()]
 

@@ -28,20 +28,7 @@ def open_tum(path: Path, config: InputConfig) -> Sequence:
     warnings: list[str] = []
     color_s, color_paths = _read_image_list(path / "rgb.txt", warnings)
     depth_s, depth_paths = _read_image_list(path / "depth.txt", warnings)
-    pairs = associate(color_s, depth_s, config.max_time_difference_s)
-    if not len(pairs):
-        smallest_s = np.abs(depth_s[nearest(depth_s, color_s)] - color_s).min()
-        raise SlamError(
-            "no colour and depth image are close enough in time: the smallest difference is"
-            f" {smallest_s:.6g} s, allowed are"
-            f" {config.max_time_difference_s:g} s (--input.max-time-difference-s): {path}"
-        )
-    unpaired = len(color_s) - len(pairs)
-    if unpaired > _MANY_UNPAIRED * len(color_s):
-        warnings.append(
-            f"{unpaired} of {len(color_s)} colour images have no depth image within"
-            f" {config.max_time_difference_s:g} s and are not used"
-        )
+    pairs = pair_in_time(color_s, depth_s, config.max_time_difference_s, path, warnings)
     images = [ImagePair(float(color_s[i]), color_paths[i], depth_paths[k]) for i, k in pairs]
     return _sequence(path, config, images, warnings)
 
@@ -115,6 +102,35 @@ def _depth_is_first(rows: list[tuple[_Stamped, _Stamped]], file: Path) -> bool:
         f"which image of a line is depth is not known: neither {first.name} nor {second.name}"
         f" alone has one channel of 16 bits, or depth in its path: {file}"
     )
+
+
+def pair_in_time(
+    color_s: FloatArray,
+    depth_s: FloatArray,
+    max_difference_s: float,
+    path: Path,
+    warnings: list[str],
+) -> IntArray:
+    """Return (M, 2) indices of the colour and depth images, (N,) and (K,) times, that pair up.
+
+    Raises:
+        SlamError: none do.
+    """
+    pairs = associate(color_s, depth_s, max_difference_s)
+    if not len(pairs):
+        smallest_s = np.abs(depth_s[nearest(depth_s, color_s)] - color_s).min()
+        raise SlamError(
+            "no colour and depth image are close enough in time: the smallest difference is"
+            f" {smallest_s:.6g} s, allowed are"
+            f" {max_difference_s:g} s (--input.max-time-difference-s): {path}"
+        )
+    unpaired = len(color_s) - len(pairs)
+    if unpaired > _MANY_UNPAIRED * len(color_s):
+        warnings.append(
+            f"{unpaired} of {len(color_s)} colour images have no depth image within"
+            f" {max_difference_s:g} s and are not used"
+        )
+    return pairs
 
 
 def associate(first_s: FloatArray, second_s: FloatArray, max_difference_s: float) -> IntArray:

@@ -85,19 +85,19 @@ def solve_hand_eye(
 
 @dataclass(frozen=True)
 class _Motions:
-    """(N, 3) rotation vectors and translations of camera and body, and (N, 3, 3) R_body - I."""
+    """Motions of camera and body: (N, 3) rotation vectors and translations, (N, 3, 3) R_body - I."""
 
-    r_A: FloatArray
-    r_B: FloatArray
-    t_A: FloatArray
-    t_B: FloatArray
-    turned: FloatArray
+    camera_turns: FloatArray
+    body_turns: FloatArray
+    camera_ways: FloatArray
+    body_ways: FloatArray
+    body_turned: FloatArray
 
     def first_rotation(self) -> FloatArray:
         """Return about how the camera is turned, as if it sat where the body's poses are."""
         a, b, a_t, b_t = (
             v / max(float(np.median(np.linalg.norm(v, axis=1))), 1e-9)
-            for v in (self.r_A, self.r_B, self.t_A, self.t_B)
+            for v in (self.camera_turns, self.body_turns, self.camera_ways, self.body_ways)
         )
         weights = np.repeat([1.0, _HINT], len(a))
         return rotation_between(np.concatenate([a, a_t]), np.concatenate([b, b_t]), weights)
@@ -110,12 +110,15 @@ def _equations(
 
     Off are r_B - R r_A, and (R_B - I) arm + scale t_B - R t_A: R (I + [w]) v = R v - R [v] w.
     """
-    off_r = motions.r_B - motions.r_A @ R.T
-    off_t = motions.turned @ arm + scale * motions.t_B - motions.t_A @ R.T
+    off_r = motions.body_turns - motions.camera_turns @ R.T
+    off_t = motions.body_turned @ arm + scale * motions.body_ways - motions.camera_ways @ R.T
     count = len(off_r)
     J_r, J_t = np.zeros((count, 3, 7)), np.zeros((count, 3, 7))
-    J_r[:, :, :3], J_t[:, :, :3] = R @ se3.skew(motions.r_A), R @ se3.skew(motions.t_A)
-    J_t[:, :, 3:6], J_t[:, :, 6] = motions.turned, motions.t_B
+    J_r[:, :, :3], J_t[:, :, :3] = (
+        R @ se3.skew(motions.camera_turns),
+        R @ se3.skew(motions.camera_ways),
+    )
+    J_t[:, :, 3:6], J_t[:, :, 6] = motions.body_turned, motions.body_ways
     H, g = (
         np.diag([*[_NEXT_TO_NOTHING] * 3, *[_USUAL_ARM_M**-2.0] * 3, _NEXT_TO_NOTHING]),
         np.zeros(7),
