@@ -3,8 +3,8 @@
 
     python examples/poses_from_elsewhere.py SEQUENCE [YOUR_ODOMETRY.txt]
 
-Only the images are taken from the sequence; nothing is tracked. Without a file, ground truth with
-added drift stands in for an odometry. T_a_b takes coordinates in b to coordinates in a.
+What `run_slam SEQUENCE --odometry YOUR_ODOMETRY.txt` does, in Python. Without a file, ground truth
+with added drift stands in for an odometry.
 """
 
 import sys
@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from placerec import load
@@ -29,58 +28,27 @@ from slam import (
 )
 from slam.datasets import Sequence, resolve
 
-KEYFRAME_M, KEYFRAME_DEG = 0.2, 15.0
-MAX_TIME_DIFFERENCE_S = 0.02
-CONFIG = Config(
-    graph={
-        # How far off your odometry is from one keyframe to the next: with less, loops that ask for
-        # a larger correction are outvoted; with more, they may bend good odometry.
-        "outside_rotation_sigma_deg": 1.0,
-        "outside_translation_sigma_m": 0.02,
-    }
-)
-Transform = NDArray[np.float64]  # (4, 4)
+CONFIG = Config()
 
 
 def close_loops(sequence: Sequence, odometry: Trajectory) -> SlamResult:
-    """Hand every keyframe with its odometry pose to `Slam`, and let it correct them."""
+    """Hand every image, and all poses until then, to `Slam`; let it correct the poses."""
     slam = Slam(sequence.camera, load("learned"), CONFIG)
-    for image, T_odom_cam in keyframes(sequence, odometry):
-        slam.add_keyframe(sequence.frame(image), T_odom_cam)
+    poses = zip(odometry.timestamps_s.tolist(), odometry.T_world_cam, strict=True)
+    following = next(poses, None)
+    for frame in sequence:
+        # One pose more than those until then: the image's lies between the last two.
+        while following and following[0] <= frame.timestamp_s:
+            slam.add_pose(*following)
+            following = next(poses, None)
+        if following:
+            slam.add_pose(*following)
+            following = next(poses, None)
+        slam.process(frame)
+    while following:
+        slam.add_pose(*following)
+        following = next(poses, None)
     return slam.finish()
-
-
-def keyframes(sequence: Sequence, odometry: Trajectory) -> list[tuple[int, Transform]]:
-    """Pick the images, by index, before which the camera has moved or turned far enough."""
-    chosen: list[tuple[int, Transform]] = []
-    for image, time_s in enumerate(sequence.timestamps_s):
-        difference_s = np.abs(odometry.timestamps_s - time_s)
-        T_odom_cam = odometry.T_world_cam[difference_s.argmin()]
-        if difference_s.min() <= MAX_TIME_DIFFERENCE_S and (
-            not chosen or is_far(np.linalg.inv(chosen[-1][1]) @ T_odom_cam)
-        ):
-            chosen.append((image, T_odom_cam))
-    if not chosen:
-        raise SlamError("no image was taken within 20 ms of a pose; do both use one clock?")
-    return chosen
-
-
-def is_far(T_last_cam: Transform) -> bool:
-    """Return whether a camera that moved like this starts a new keyframe."""
-    moved_m = np.linalg.norm(T_last_cam[:3, 3])
-    turned_deg = np.degrees(Rotation.from_matrix(T_last_cam[:3, :3]).magnitude())
-    return bool(moved_m > KEYFRAME_M or turned_deg > KEYFRAME_DEG)
-
-
-def corrected(odometry: Trajectory, result: SlamResult) -> Trajectory:
-    """Return every pose of the odometry, corrected as the last keyframe before it was."""
-    T_odom_kf = np.array([keyframe.T_odom_cam for keyframe in result.keyframes])
-    T_world_odom = result.T_world_kf @ np.linalg.inv(T_odom_kf)
-    stamps_s = [keyframe.timestamp_s for keyframe in result.keyframes]
-    last = np.searchsorted(stamps_s, odometry.timestamps_s, side="right") - 1
-    return Trajectory(
-        odometry.timestamps_s, T_world_odom[np.maximum(last, 0)] @ odometry.T_world_cam
-    )
 
 
 def drifting(truth: Trajectory, seed: int = 0) -> Trajectory:
@@ -117,9 +85,9 @@ def main(name: str, odometry_file: str | None = None) -> None:
     result = close_loops(sequence, odometry)
     closed = sum(attempt.rejection is None for attempt in result.attempts)
     print(f"{len(result.keyframes)} keyframes, {closed} of {len(result.attempts)} loops closed")
-    print(*result.warnings, sep="\n", end="\n" if result.warnings else "")
+    print(result.given.verdict, *result.warnings, sep="\n")
     if truth:
-        every_pose = replace(result, odometry=odometry, trajectory=corrected(odometry, result))
+        every_pose = replace(result, odometry=odometry, trajectory=result.given.corrected)
         drift = compare_drift(every_pose, truth, CONFIG.evaluation)
         print(f"ATE {drift.odometry.ate_rmse_m:.4f} m -> {drift.corrected.ate_rmse_m:.4f} m")
 

@@ -2,6 +2,7 @@
 """The `run_slam` command, also as `python -m slam`: read a sequence, run, write the folder."""
 
 import gc
+import math
 import shlex
 import sys
 from argparse import ArgumentParser
@@ -23,6 +24,7 @@ from slam.types import Frame, SlamError
 
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
+    from slam.datasets.pose_files import PoseFile
     from slam.evaluation.drift import DriftReport
     from slam.system import Slam
 
@@ -38,6 +40,9 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
                                         Record3D, told by what it holds
   run_slam recording.bag                a ROS 1 bag; so for .mcap, or the folder of a ROS 2 bag
   run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
+  run_slam fr1_desk --odometry poses.txt
+                                        close loops for an odometry that you have: TUM, KITTI,
+                                        EuRoC or planar poses, or a bag; told by what it holds
   run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
 
 Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
@@ -53,6 +58,8 @@ class Arguments:
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")
     ] = ()
     """Later recordings of the same camera, which are to make one map with the first."""
+    odometry: Annotated[Path | None, tyro.conf.arg(metavar="POSES")] = None
+    """File of the poses that another odometry has of the camera, or of the body that it is on."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs; default: runs/SEQUENCE, the names of several joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
@@ -70,6 +77,12 @@ class Arguments:
     def title(self) -> str:
         """The names of the recordings' folders, joined by +."""
         return "+".join(Path(each).resolve().name for each in self.sequences)
+
+    @property
+    def command(self) -> list[str]:
+        """What was typed, but for the settings and the folder."""
+        odometry = [] if self.odometry is None else ["--odometry", str(self.odometry)]
+        return ["run_slam", *self.sequences, "--recognizer", self.recognizer, *odometry]
 
 
 def parse(arguments: list[str]) -> Arguments:
@@ -118,12 +131,13 @@ def _run(arguments: Arguments) -> None:
     recognizer = load(arguments.recognizer)
     folder = arguments.out or Path("runs") / arguments.title
     sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
+    poses, settings = _read_odometry(arguments, sessions)
     make_run_folder(folder)
     # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
     gc.collect()
     gc.freeze()
-    slam = Slam(sessions.camera, recognizer, arguments.settings)
-    stopped = _process(slam, sessions)
+    slam = Slam(sessions.camera, recognizer, settings)
+    stopped = _process(slam, sessions, _Feed(slam, poses))
     if stopped and not slam.has_keyframes:
         raise stopped
     # What was done is worth the seconds that writing it takes, but to one who asks again.
@@ -140,11 +154,14 @@ def _run(arguments: Arguments) -> None:
             result,
             drift,
             sessions.ground_truth,
-            arguments.settings,
+            settings,
             arguments.title,
-            shlex.join(["run_slam", *arguments.sequences, "--recognizer", arguments.recognizer]),
+            shlex.join(arguments.command),
+            poses,
         )
     print(summary_table(result, drift, folder))
+    if result.given and not result.given.fits:
+        raise SlamError(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
     if stopped:
         raise SlamError(f"{reason}; what was done until then is in {folder}")
 
@@ -167,20 +184,58 @@ def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
     return sequence
 
 
-def _process(slam: "Slam", sessions: "Sessions") -> BaseException | None:
+def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFile | None", Config]:
+    """Read the poses to be corrected, and where on their body the camera is if they tell."""
+    from slam.datasets.pose_files import read_odometry
+
+    settings = arguments.settings
+    if arguments.odometry is None:
+        return None, settings
+    poses = read_odometry(arguments.odometry, sessions.timestamps_s, settings.input)
+    for warning in poses.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if poses.T_base_cam is not None and settings.odometry.T_base_cam is None:
+        odometry = settings.odometry.model_copy(update={"T_base_cam": poses.T_base_cam})
+        settings = settings.model_copy(update={"odometry": odometry})
+    return poses, settings
+
+
+def _process(slam: "Slam", sessions: "Sessions", feed: "_Feed") -> BaseException | None:
     """Feed all frames; return what stopped it early, so that the frames until then are kept."""
     with deferred_interrupts() as interrupted:  # half a keyframe could not be finished
         try:
             for recording in sessions.recordings:
                 slam.start_session()
                 for frame in _timed(slam, recording):
+                    feed.until(frame.timestamp_s)
                     slam.process(frame)
                     if interrupted.is_set():
                         return KeyboardInterrupt()
+            feed.until(math.inf)
             slam.settle()  # if the recognizer failed on one of the last keyframes, say so
         except LoopcloseError as stopped:
             return stopped
     return None
+
+
+class _Feed:
+    """Hands over the poses of a file as they would come with the images."""
+
+    def __init__(self, slam: "Slam", poses: "PoseFile | None") -> None:
+        self._slam = slam
+        self._next = 0
+        self._T = poses.trajectory.T_world_cam if poses else ()
+        self._stamps_s = poses.trajectory.timestamps_s.tolist() if poses else []
+
+    def until(self, timestamp_s: float) -> None:
+        """Hand over all poses until a time of the images', and one more, to be between two."""
+        limit_s = timestamp_s + self._slam.time_offset_s
+        while self._next < len(self._stamps_s):
+            time_s = self._stamps_s[self._next]
+            self._slam.add_pose(time_s, self._T[self._next])
+            self._next += 1
+            if time_s > limit_s:
+                return
 
 
 def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:

@@ -52,14 +52,18 @@ class GivenOdometry:
         corrected: the same poses, corrected: of the same body, in the same unit, at the same times,
             in a frame in which the first is as it came; without those that nothing is known of.
         T_map_odom: (N, 4, 4), what takes its poses to the corrected ones, metres.
-        sentences: what the images say of it, one each.
+        verdict: what the images say of it, a sentence.
+        warnings: how it should have been read, and where the images contradict it; one each.
+        steps: its motions between keyframes in the pose graph, with the trust they deserve.
         fits: whether it has to do with the images at all; if not, it was not used.
     """
 
     given: Trajectory
     corrected: Trajectory
     T_map_odom: FloatArray
-    sentences: tuple[str, ...]
+    verdict: str
+    warnings: tuple[str, ...]
+    steps: tuple[Link, ...]
     fits: bool
 
 

@@ -86,6 +86,11 @@ class Slam:
         """
         self._external.add(timestamp_s, T_odom_cam, covariance)
 
+    @property
+    def time_offset_s(self) -> float:
+        """How much later the poses' time stamps are than the images', as far as is set."""
+        return self._external.time_offset_s
+
     def start_session(self) -> None:
         """Take the next frame for the first of another recording, which may begin anywhere.
 
@@ -171,8 +176,8 @@ class Slam:
         """Return the (4, 4) correction of another odometry's poses as of now, without waiting.
 
         The map lies where that odometry began, and `T_map_odom @ T_odom_cam` is where the camera
-        is. The images are followed, and the correction changes with every frame, until they have
-        borne the odometry out; from then on it changes when loops are closed.
+        is. While the images bear the odometry out the correction changes when loops are closed;
+        where they contradict it they are followed, and it changes with every frame.
 
         Raises:
             SlamError: no keyframe had a pose yet, or nothing tells where the camera is since it was
@@ -240,7 +245,7 @@ class Slam:
         result_of_given = None
         if self._external:
             odometry = self._external.before(odometry)
-            result_of_given = self._external.corrected(trajectory, loops.trust)
+            result_of_given = self._external.corrected(trajectory, loops.trust, loops.steps)
         loop_closer = self._back_end.loop_closer
         calibration = loop_closer.calibration()
         return SlamResult(
@@ -254,7 +259,7 @@ class Slam:
             live=self._live(T_world_kf),
             without_loops=frames.trajectory(T_world_kf_without),
             trajectory=self._smoothed(trajectory),
-            links=(*loops.links, *loops.steps),
+            links=loops.links,
             attempts=loops.attempts,
             similarities=self._back_end.similarities(),
             min_similarity=loop_closer.min_similarity,
@@ -262,7 +267,7 @@ class Slam:
             stage_seconds=dict(self.clock.seconds),
             warnings=(
                 *left_out,
-                *(result_of_given.sentences if result_of_given else ()),
+                *(result_of_given.warnings if result_of_given else ()),
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,

@@ -9,6 +9,8 @@ import numpy as np
 
 from placerec.datasets.tum_lists import as_numbers, read_lines
 from placerec.files import write_atomically
+from slam.config import InputConfig
+from slam.datasets.bags import is_bag, read_bag_odometry
 from slam.datasets.true_poses import in_order, rigid
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
@@ -137,12 +139,30 @@ class PoseFile:
         trajectory: the poses as written: seconds, and the file's own unit and frame.
         stamps: (N,) the times as written; none where lines have no times.
         warnings: what a user should know; one sentence each.
+        T_base_cam: where the camera is on the body that the poses are of, tx ty tz qx qy qz qw,
+            None where the file does not tell.
     """
 
     format: PoseFormat
     trajectory: Trajectory
     stamps: tuple[str, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    T_base_cam: tuple[float, ...] | None = None
+
+
+def read_odometry(path: Path, images_s: FloatArray, config: InputConfig) -> PoseFile:
+    """Read poses from a file, or the odometry of a bag, for images at (N,) times.
+
+    Raises:
+        LoopcloseError: see `read_pose_file` and `read_bag_odometry`.
+    """
+    if not is_bag(path):
+        return read_pose_file(path, images_s)
+    bag = read_bag_odometry(path, config)
+    _check_times(bag.trajectory.timestamps_s, images_s, path)
+    stamps = tuple(f"{time_s:.9f}" for time_s in bag.trajectory.timestamps_s)
+    T_base_cam = None if bag.T_body_cam is None else tuple(_to_quaternion(bag.T_body_cam).tolist())
+    return PoseFile(FORMATS[0], bag.trajectory, stamps, (), T_base_cam)
 
 
 def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from slam.datasets.sequence import Sequence
-from slam.types import SlamError, Trajectory
+from slam.types import FloatArray, SlamError, Trajectory
 
 
 class Sessions:
@@ -31,6 +31,11 @@ class Sessions:
         self.recordings = recordings
         self.camera = recordings[0].camera
         self.ground_truth = _joined_truth(recordings)
+
+    @property
+    def timestamps_s(self) -> FloatArray:
+        """(N,) times of all frames."""
+        return np.concatenate([each.timestamps_s for each in self.recordings])
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -139,21 +139,18 @@ def _scale(config: OdometryConfig, found: Calibration, asked: Convention) -> lis
     ]
 
 
-def judgement(trust: Trust, stamps_s: Mapping[int, float]) -> tuple[str, ...]:
-    """Return what the images say of the odometry, and where they contradict it."""
-    sentences = [
-        f"the odometry compared with {trust.compared} motions of the images: {trust.verdict}"
-    ]
-    if trust.verdict is Verdict.NOISY:
-        sentences[0] += f"; its noise is {_noise(trust)}"
+def judgement(trust: Trust, stamps_s: Mapping[int, float]) -> tuple[str, tuple[str, ...]]:
+    """Return what the images say of the odometry, and sentences on where they contradict it."""
+    noise = f"; its noise is {_noise(trust)}" if trust.verdict is Verdict.NOISY else ""
+    count = f"compared with {trust.compared} motions of the images"
+    verdict = f"the odometry, {count}: {trust.verdict}{noise}"
     runs = _runs(trust.doubted)
-    if runs:
-        spans = [f"{stamps_s[first]:.2f} to {stamps_s[last]:.2f} s" for first, last in runs[:3]]
-        more = f" and {len(runs) - 3} more stretches" if len(runs) > 3 else ""
-        sentences.append(
-            f"the images contradict the odometry at {', '.join(spans)}{more}; they bridge it there"
-        )
-    return tuple(sentences)
+    if not runs:
+        return verdict, ()
+    spans = [f"{stamps_s[first]:.2f} to {stamps_s[last]:.2f} s" for first, last in runs[:3]]
+    more = f" and {len(runs) - 3} more stretches" if len(runs) > 3 else ""
+    doubt = f"the images contradict the odometry from {', '.join(spans)}{more}"
+    return verdict, (f"{doubt}; they bridge it there",)
 
 
 def _noise(trust: Trust) -> str:

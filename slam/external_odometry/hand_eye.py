@@ -85,7 +85,7 @@ def solve_hand_eye(
 
 @dataclass(frozen=True)
 class _Motions:
-    """Motions of camera and body: (N, 3) rotation vectors and translations, (N, 3, 3) R_body - I."""
+    """Motions of camera and body: (N, 3) turns, as rotation vectors, and ways; R_body - I."""
 
     camera_turns: FloatArray
     body_turns: FloatArray

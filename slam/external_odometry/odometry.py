@@ -2,6 +2,7 @@
 """An odometry from elsewhere during a run: its poses come in, are read, judged and corrected."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from slam.external_odometry.given_poses import GivenPoses, poses_between
 from slam.external_odometry.trust import GivenKeyframe, Trust
 from slam.geometry import se3
 from slam.result import GivenOdometry
-from slam.types import FloatArray, SlamError, Trajectory
+from slam.types import FloatArray, Link, SlamError, Trajectory
 
 _AHEAD_S = 0.05  # for which the last motion is taken to go on
 
@@ -55,6 +56,11 @@ class ExternalOdometry:
 
     def __bool__(self) -> bool:
         return len(self._given) > 0
+
+    @property
+    def time_offset_s(self) -> float:
+        """How much later the time stamps are than the images', as was asked for."""
+        return self._asked.time_offset_s
 
     def start_session(self) -> None:
         """Take the next pose for the first of another recording's odometry."""
@@ -160,8 +166,13 @@ class ExternalOdometry:
         known = np.isfinite(T[:, 0, 0])
         return Trajectory(tracked.timestamps_s[known], T[known])
 
-    def corrected(self, trajectory: Trajectory, trust: Trust | None) -> GivenOdometry:
-        """Return what became of the poses, by the corrected trajectory of the frames."""
+    def corrected(
+        self, trajectory: Trajectory, trust: Trust | None, steps: tuple[Link, ...]
+    ) -> GivenOdometry:
+        """Return what became of the poses, by the corrected trajectory of the frames.
+
+        The steps are those that the pose graph was given.
+        """
         given, convention = self._given.trajectory, self._reading.convention
         camera = self.camera_poses
         T_world_cam = carried(camera, trajectory)
@@ -169,15 +180,15 @@ class ExternalOdometry:
         T_world_cam, T_odom_cam = T_world_cam[known], camera.T_world_cam[known]
         if known.any():  # where the first one is, it stays
             T_world_cam = T_odom_cam[0] @ se3.inverse(T_world_cam[0]) @ T_world_cam
-        corrected = Trajectory(camera.timestamps_s[known], T_world_cam)
-        sentences = self._reading.sentences
-        if trust:
-            sentences = (*sentences, *judgement(trust, self._stamps_s))
+        corrected = convention.as_given(Trajectory(camera.timestamps_s[known], T_world_cam))
+        verdict, doubts = judgement(trust, self._stamps_s) if trust else ("", ())
         return GivenOdometry(
             given,
-            convention.as_given(corrected),
+            replace(corrected, timestamps_s=given.timestamps_s[known]),
             T_world_cam @ se3.inverse(T_odom_cam),
-            sentences,
+            verdict,
+            (*self._reading.sentences, *doubts),
+            steps,
             self._reading.fits,
         )
 

@@ -70,7 +70,7 @@ class Trust:
     @property
     def is_followed(self) -> bool:
         """Whether to follow it, not the images, from one keyframe to the next."""
-        return self.verdict is Verdict.BORNE_OUT
+        return self.verdict in (Verdict.BORNE_OUT, Verdict.UNKNOWN)
 
 
 @dataclass(frozen=True)
@@ -235,10 +235,13 @@ def _in_usual_units(motions: Sequence[Link], path: _Path) -> tuple[FloatArray, I
 
 def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, FloatArray]:
     """Return the verdict, and the variances of rotation and translation, (3,) each."""
-    if len(motions) < _MIN_COMPARED:
-        return Verdict.UNKNOWN, np.array(_ASSUMED_ROTATION), np.array(_ASSUMED_TRANSLATION)
+    assumed = np.array(_ASSUMED_ROTATION), np.array(_ASSUMED_TRANSLATION)
+    if not motions:
+        return Verdict.UNKNOWN, *assumed
     compared = _Comparison.of(motions, path)
     squared = compared.squared(_NOTHING, _NOTHING)
+    if len(motions) < _MIN_COMPARED:
+        return Verdict.UNKNOWN if _is_usual(squared) else Verdict.NOISY, *assumed
     if np.median(squared) < _SHARED * _RIGHT_MEDIAN:
         return Verdict.SHARED, _NOTHING, _NOTHING
     spans = list(_spans(compared.lags))

@@ -36,7 +36,7 @@ _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and 
 _LOOP_GROWTH = 0.1
 # An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
 # more as that share.
-_JUDGED_AFTER = 4
+_JUDGED_AFTER = 1
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,8 @@ class BackEnd:
         """
         if self.is_empty:  # its camera is where the world begins
             T_world_odom = {keyframe.segment: se3.inverse(keyframe.T_odom_cam)}
-            self.corrections = [Correction(0, -1, {}, T_world_odom)]
+            T_world_given = se3.inverse(given.T_given_cam) if given else None
+            self.corrections = [Correction(0, -1, {}, T_world_odom, T_world_given)]
         if len(self._queue) == _MAX_QUEUED:
             self._next_result()
         # A copy: cameras reuse their memory.

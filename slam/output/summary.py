@@ -23,6 +23,8 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - frames_tracked, frames_untracked, keyframes, links: counts.
     - frames_unjoined: those of the untracked that are in a part of the map that was not joined.
     - warnings: what to know before trusting the result, one sentence each.
+    - given_poses, given_verdict: of an odometry from elsewhere, how many poses it had and what the
+      images say of it; None without one.
     - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
@@ -61,6 +63,8 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "keyframes": len(result.keyframes),
         "links": len(result.links),
         "warnings": list(result.warnings),
+        "given_poses": len(result.given.given) if result.given else None,
+        "given_verdict": result.given.verdict or None if result.given else None,
         "loops_tried": len(result.attempts),
         "loops_accepted": len(rejections) - len(reasons),
         "loops_outvoted": reasons.count(RejectionReason.OUTVOTED),
@@ -132,6 +136,8 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
     ]
     if summary["frames_per_second"] is not None:
         rows.append(("pipeline", f"{summary['frames_per_second']:.1f} frames/s"))
+    if result.given and result.given.verdict:
+        rows.append(("given", result.given.verdict))
     rows += [("warning", warning) for warning in result.warnings]
     rows.append(("report", str(folder / "report.html")))
     return "\n".join(f"{name:<10} {text}" for name, text in rows)

@@ -2,10 +2,9 @@
 import importlib.util
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from slam import Camera, Config, SlamError, Trajectory, open_sequence
+from slam import Camera, Config, SlamError, open_sequence
 from slam.demo.recording import render_sequence
 from slam.evaluation.drift import trajectory_error
 from slam.evaluation.trajectory import write_tum
@@ -42,9 +41,9 @@ def test_drift_of_an_odometry_that_is_not_ours_goes_away(example, folder, seed):
     result = example.close_loops(sequence, odometry)
     before, after = (
         trajectory_error(each, sequence.ground_truth, Config().evaluation).ate_rmse_m
-        for each in (odometry, example.corrected(odometry, result))
+        for each in (odometry, result.given.corrected)
     )
-    assert after < 0.5 * before
+    assert after < 0.3 * before
 
 
 def test_command_reads_an_odometry_file(example, folder, tmp_path, capsys):
@@ -56,13 +55,6 @@ def test_command_reads_an_odometry_file(example, folder, tmp_path, capsys):
     assert from_file == capsys.readouterr().out
     assert "loops closed" in from_file
     assert "ATE" in from_file
-
-
-def test_poses_of_another_clock_are_refused(example, folder, tmp_path):
-    elsewhen = Trajectory(np.array([1e9, 1e9 + 1.0]), np.tile(np.eye(4), (2, 1, 1)))
-    write_tum(tmp_path / "odometry.txt", elsewhen)
-    with pytest.raises(SlamError, match="one clock"):
-        example.main(str(folder), str(tmp_path / "odometry.txt"))
 
 
 def test_nothing_can_be_done_without_poses(example, folder, tmp_path):

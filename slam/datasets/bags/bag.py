@@ -14,6 +14,12 @@ from slam.types import SlamError
 SUFFIXES = (".bag", ".mcap", ".db3")
 """Of the bags that are a file; those of ROS 2 are mostly folders."""
 
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is that of a bag, by its name or by what its folder holds."""
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+
+
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 # Of tf's first version, which is laid out in the same way.
 _OLD_NAMES = {"tf/msg/tfMessage": _TRANSFORMS}

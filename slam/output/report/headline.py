@@ -7,7 +7,7 @@ import numpy as np
 
 from slam.evaluation.drift import DriftReport
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
-from slam.result import SlamResult
+from slam.result import GivenOdometry, SlamResult
 
 _NO_CHANGE = 0.02
 """Drift that changes by less than this share is called unchanged."""
@@ -28,9 +28,11 @@ def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision
     Loop closure is credited with what it changed in the adjusted map, and with nothing else.
     """
     is_closed = any(loop.attempt.rejection is None for loop in loops)
+    given = [_given(result.given)] if result.given and result.given.verdict else []
     if drift is None:
-        return [_correction(result, is_closed), _loops(drift, loops)]
-    sentences = [_drift(result, drift, is_closed), _adjustment(drift), _loops(drift, loops)]
+        return [_correction(result, is_closed), _loops(drift, loops), *given]
+    adjustment = _adjustment(drift, "given odometry" if result.given else "odometry")
+    sentences = [_drift(result, drift, is_closed), adjustment, _loops(drift, loops), *given]
     if min(drift.coverage, drift.corrected.matched_share) < 0.995:
         sentences.append(
             f"Ground truth covers {drift.coverage:.0%} of the sequence's time span; "
@@ -61,13 +63,17 @@ def _drift(result: SlamResult, drift: DriftReport, is_closed: bool) -> str:
     )
 
 
-def _adjustment(drift: DriftReport) -> str:
+def _given(given: GivenOdometry) -> str:
+    return given.verdict[0].upper() + given.verdict[1:] + "."
+
+
+def _adjustment(drift: DriftReport, odometry: str) -> str:
     before, after = drift.odometry.ate_rmse_m, drift.without_loops.ate_rmse_m
     if _is_same(before, after):
-        return f"Adjusting the map, without loops, left the odometry's drift at {length(before)}."
+        return f"Adjusting the map, without loops, left the {odometry}'s drift at {length(before)}."
     verb = "cut" if after < before else "raised"
     return (
-        f"Adjusting the map, without loops, {verb} the odometry's drift from {length(before)} to"
+        f"Adjusting the map, without loops, {verb} the {odometry}'s drift from {length(before)} to"
         f" {length(after)}."
     )
 

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from slam.tracking.frame_log import check_frame, checked_pose
+from slam.tracking.frame_log import check_frame
 from slam.types import Camera, Frame, SlamError
 
 CAMERA = Camera(8, 6, 4.0, 4.0, 3.5, 2.5)
@@ -32,15 +32,3 @@ def test_any_other_is_refused_in_one_line(refused, said):
     with pytest.raises(SlamError, match=said) as error:
         check_frame(refused, CAMERA, last_s=0.5)
     assert "\n" not in str(error.value)
-
-
-def test_a_pose_is_copied():
-    T = np.eye(4)
-    checked = checked_pose(0.0, T)
-    T[0, 3] = 1.0
-    np.testing.assert_array_equal(checked, np.eye(4))
-
-
-def test_a_mirror_is_no_pose():
-    with pytest.raises(SlamError, match=r"pose at 2.000000 s is not a rigid \(4, 4\)"):
-        checked_pose(2.0, np.diag([-1.0, 1.0, 1.0, 1.0]))

@@ -6,7 +6,7 @@ import pytest
 
 from slam.tracking.frame_log import FrameLog
 from slam.tracking.tracked_frame import TrackedFrame
-from slam.types import Keyframe, Link, RelativePose
+from slam.types import Keyframe, Link, RelativePose, Trajectory
 
 AHEAD = np.eye(4)
 AHEAD[0, 3] = 0.5
@@ -96,11 +96,11 @@ def test_a_map_that_moves_as_a_whole_is_no_bend():
 def test_live_frames_stay_where_they_were_when_they_were_tracked(frames):
     asked = []
 
-    def correction(segment, newest_id):
-        asked.append((segment, newest_id))
-        return None if segment else poses(1000.0)[0]
+    def corrected(frame):
+        asked.append((frame.segment, frame.newest_id))
+        return None if frame.segment else poses(1000.0)[0] @ frame.T_odom_cam
 
-    live = frames.live(poses(0.0, 4.0, 7.0), correction)
+    live = frames.live(poses(0.0, 4.0, 7.0), corrected)
     assert live.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0]
     assert live.T_world_cam[:, 0, 3].tolist() == [1100.0, 1100.5, 1101.0, 1101.5]
     assert asked == [(0, 0), (0, 0), (0, 1), (0, 1), (1, 2), (1, 2)]
@@ -142,3 +142,23 @@ def test_lost_frames_and_those_apart_are_warned_of(frames):
     _, first = frames.warnings(poses(np.nan, np.nan, 7.0))
     assert first.startswith("4 of 9 frames") and first.endswith("begins at 20.000 s")
     assert FrameLog().warnings(poses()) == ()
+
+
+def test_frames_follow_another_odometry_but_where_it_is_doubted():
+    T_kf = poses(0.0, 1.0, 2.0)
+    log = walk((0, 0.0, ()), (0, 0.2, None), (1, 0.0, [0]), (1, 0.2, None), (2, 0.0, [1]))
+    times_s = log.placed_s
+    keyframe_s = times_s[[0, 2, 4]]
+    given = Trajectory(times_s, poses(0.0, 0.5, 1.0, 1.5, 2.0))
+    followed = log.along(given, keyframe_s, doubted=[]).trajectory(T_kf)
+    np.testing.assert_allclose(followed.T_world_cam[:, 0, 3], [0.0, 0.5, 1.0, 1.5, 2.0])
+    doubted = log.along(given, keyframe_s, doubted=[2]).trajectory(T_kf)
+    expected = [0.0, 0.5, 1.0, *log.trajectory(T_kf).T_world_cam[3:, 0, 3]]
+    np.testing.assert_allclose(doubted.T_world_cam[:, 0, 3], expected)
+    assert expected[3] != 1.5
+
+
+def test_what_was_tracked_of_a_segment_is_in_a_frame_of_its_own(frames):
+    first, second = frames.tracked(poses(0.0, 4.0, 7.0))
+    assert first.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0]
+    assert second.timestamps_s.tolist() == [20.0, 21.0]
