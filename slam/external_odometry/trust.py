@@ -31,6 +31,7 @@ _JUMP, _BAD_STRETCH, _STRETCH, _MIN_OVER = 60.0, 25.0, 16, 5
 _FIRST_JUMP = 600.0
 _STIFF = 1e-3  # of the images' noise: what they cannot tell from the truth they do not bend
 _FIT_ROUNDS = 6
+_NEGLIGIBLE = 0.01  # of the variance that the images claim
 _LEAST = 1e-12  # variance, rad^2 and m^2
 # Where nothing was compared: a fair wheel or visual odometry.
 _ASSUMED_ROTATION = (np.radians(1.0) ** 2, np.radians(1.0) ** 2, np.radians(0.2) ** 2)
@@ -248,10 +249,20 @@ def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, F
     if all(_is_usual(squared[span]) for span in spans):
         return Verdict.BORNE_OUT, _NOTHING, _NOTHING
     rotation, translation = (_variances(compared, part) for part in (slice(0, 3), slice(3, 6)))
+    if _is_negligible(compared, rotation, translation):
+        # Then the images are noisier than they claim: what an odometry is off grows on the way.
+        return Verdict.BORNE_OUT, _NOTHING, _NOTHING
     squared = compared.squared(rotation, translation)
     # What grows faster than a random walk is taken for as large as it gets on any span.
     worst = max(float(np.median(squared[span])) for span in spans) / _RIGHT_MEDIAN
     return Verdict.NOISY, max(worst, 1.0) * rotation, max(worst, 1.0) * translation
+
+
+def _is_negligible(compared: _Comparison, rotation: FloatArray, translation: FloatArray) -> bool:
+    """Whether noise is small beside the images', even over the longest way that was compared."""
+    own = np.repeat(compared.extents.max(axis=0) @ np.column_stack([rotation, translation]), 3)
+    images = np.median(np.einsum("nii->ni", compared.covariances), axis=0)
+    return bool((own < _NEGLIGIBLE * images).all())
 
 
 def _spans(lags: IntArray) -> list[NDArray[np.bool_]]:
