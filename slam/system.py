@@ -224,7 +224,7 @@ class Slam:
         self._odometry.settle()
         T_odom_kf = {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
         stamps_s = np.array([each.timestamp_s for each in keyframes])
-        given = self._read_external(T_odom_kf, stamps_s) if self._external else {}
+        given = self._read_external(T_odom_kf, stamps_s) if self._external else None
         loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
         keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
             replace(each, T_odom_cam=T_odom_kf.get(each.id, each.T_odom_cam)) for each in keyframes

@@ -172,7 +172,9 @@ def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
         LoopcloseError: the file cannot be read, holds no pose or something else, has no time in
             common with the images, or mixes poses of two frames.
     """
-    lines = [(number, line) for number, line in read_lines(file) if not _is_header(line)]
+    lines = list(read_lines(file))
+    if lines and _is_header(lines[0][1]):
+        del lines[0]
     if not lines:
         raise SlamError(f"the file holds no pose ({_known()}): {file}")
     tables = [_numbers(number, line, file) for number, line in lines]
@@ -189,7 +191,9 @@ def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
         except SlamError as error:
             raise SlamError(f"line {number} {error}: {line!r}: {file}") from error
     if not form.has_time:
-        return PoseFile(form, Trajectory(_images_of(len(T), images_s, file), T), (), ())
+        trajectory = Trajectory(_images_of(len(T), images_s, file), T)
+        _check_frame(trajectory, file)
+        return PoseFile(form, trajectory, ())
     unit = 1e9 if form is _EUROC else 1.0
     stamps_s = np.array([values[0] for values in tables]) / unit
     warnings: list[str] = []
@@ -218,8 +222,9 @@ def write_pose_file(file: Path, source: PoseFile, corrected: Trajectory) -> None
 
 
 def _is_header(line: str) -> bool:
-    """Whether a line is a table's first, which names its columns."""
-    return as_numbers(line) is None and line[0].isalpha() and not line.lower().startswith("nan")
+    """Whether a table's first line names its columns."""
+    is_a_name = line[0].isalpha() and not line.lower().startswith(("nan", "inf"))
+    return as_numbers(line) is None and is_a_name
 
 
 def _numbers(number: int, line: str, file: Path) -> list[float]:

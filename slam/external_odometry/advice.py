@@ -18,6 +18,9 @@ _SIGMAS = 4.0
 # Of the motions left under the best reading: more, and frame, clock and unit cannot be told; more
 # still, and the poses have nothing to do with the images. Those of other recordings leave 1.
 _VAGUE, _NO_FIT = 0.3, 0.95
+# Correlation of turning: what is only noisy is more alike than the first; where little is left, all
+# poses of one body are more alike than the second.
+_ALIKE, _ONE_BODY = 0.6, 0.9
 _MIXED = 0.25  # share of the motions that are not explained at all, where the others are
 _NOT_OF_THESE_IMAGES = (
     "the odometry's poses do not fit the images in whatever way they are read: they are of another"
@@ -62,7 +65,7 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
     asked = asked_convention(config)
     if found is None:
         return Reading(asked)
-    if found.misfit > _NO_FIT or found.hand_eye.unexplained > _MIXED > found.misfit:
+    if _is_foreign(found):
         return Reading(asked, (_NOT_OF_THESE_IMAGES,), fits=False)
     if found.misfit > min(_VAGUE, _BETTER * found.misfit_before):
         return Reading(asked)
@@ -79,6 +82,13 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
     if config.scale == "auto" and _scale(config, found, asked):
         used = replace(used, scale=found.convention.scale)
     return Reading(used, tuple(sentences))
+
+
+def _is_foreign(found: Calibration) -> bool:
+    best, left = found.hand_eye, min(found.misfit, found.misfit_before)
+    if left > _NO_FIT:
+        return best.likeness < _ALIKE
+    return left < _VAGUE and (best.unexplained > _MIXED or best.likeness < _ONE_BODY)
 
 
 def _direction(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
@@ -107,34 +117,38 @@ def _frame(config: OdometryConfig, found: Calibration, asked: Convention) -> lis
     numbers = np.array([*T[:3, 3], *se3.to_quaternion(T[:3, :3])]) + 0.0
     flag = " ".join(f"{value:.4f}" for value in numbers)
     done = "it was applied" if config.T_base_cam == "auto" else "or auto"
+    other = "the camera's optical one" if config.T_base_cam in (None, "auto") else "asked for"
     return [
-        "the odometry's poses are of another frame than the camera's optical one:"
-        f" --odometry.T-base-cam {flag} (known to {sigma_deg:.1f} deg and"
+        f"the odometry's poses are of another frame than {other}: --odometry.T-base-cam {flag}"
+        f" (known to {sigma_deg:.1f} deg and"
         f" {100.0 * known.arm_sigma_m:.1f} cm); {done}"
     ]
 
 
 def _clock(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
     offset_s = found.convention.time_offset_s
-    if abs(offset_s - asked.time_offset_s) <= _OFFSET_S:
+    more_s = offset_s - asked.time_offset_s
+    if abs(more_s) <= _OFFSET_S:
         return []
-    late = "later" if offset_s > 0.0 else "earlier"
+    late = "later" if more_s > 0.0 else "earlier"
+    than = "asked for" if asked.time_offset_s else "the images'"
     done = "it was applied" if config.time_offset_s == "auto" else "or auto"
     return [
-        f"the odometry's time stamps are {abs(offset_s) * 1e3:.0f} ms {late} than the images':"
+        f"the odometry's time stamps are {abs(more_s) * 1e3:.0f} ms {late} than {than}:"
         f" --odometry.time-offset-s {offset_s:.3f}; {done}"
     ]
 
 
 def _scale(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
     scale, sigma = found.convention.scale, found.hand_eye.scale_sigma
-    if abs(scale / asked.scale - 1.0) <= max(_SCALE, _SIGMAS * sigma / scale):
+    ratio = scale / asked.scale
+    if abs(ratio - 1.0) <= max(_SCALE, _SIGMAS * sigma / scale):
         return []
-    what = "short" if scale > 1.0 else "long"
-    unit = " (feet)" if abs(scale / 0.3048 - 1.0) < 0.05 else ""
+    what = "short" if ratio > 1.0 else "long"
+    unit = " (feet)" if asked.scale == 1.0 and abs(scale / 0.3048 - 1.0) < 0.05 else ""
     done = "it was applied" if config.scale == "auto" else "or auto"
     return [
-        f"the odometry's ways are {abs(1.0 / scale - 1.0):.1%} too {what}{unit}: --odometry.scale"
+        f"the odometry's ways are {abs(1.0 / ratio - 1.0):.1%} too {what}{unit}: --odometry.scale"
         f" {scale:.4f} (known to {sigma / scale:.1%}); {done}"
     ]
 

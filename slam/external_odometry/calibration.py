@@ -119,7 +119,7 @@ def _plain(reading: Convention) -> Convention:
 def _fit(motions: _Motions, given: Trajectory, reading: Convention) -> Calibration | None:
     """Return clock, frame and unit for one way to read rotations and direction."""
     body = _plain(reading).body_poses(given)
-    offset_s = _offset(motions, body)
+    offset_s = _offset(motions, body, reading.time_offset_s)
     pair = _compared(motions, body, offset_s)
     if pair is None:
         return None
@@ -146,12 +146,13 @@ def _compared(
     return motions.T_start_end[known], T_body[known], motions.shares[known]
 
 
-def _offset(motions: _Motions, body: Trajectory) -> float:
-    """Return how much later the body's stamps are, seconds, by what both say of turning."""
+def _offset(motions: _Motions, body: Trajectory, about_s: float) -> float:
+    """Return how much later the body's stamps are, about so many seconds, by what both turn."""
     turning = Slerp(body.timestamps_s, Rotation.from_matrix(body.T_world_cam[:, :3, :3]))
     camera = se3.log(motions.T_start_end)[:, :3]
     first_s, last_s = body.timestamps_s[[0, -1]]
-    inside = (motions.start_s - _LATEST_S >= first_s) & (motions.end_s + _LATEST_S <= last_s)
+    inside = motions.start_s + about_s - _LATEST_S >= first_s
+    inside &= motions.end_s + about_s + _LATEST_S <= last_s
     if inside.sum() < _MIN_MOTIONS:
         inside[:] = True
 
@@ -166,7 +167,7 @@ def _offset(motions: _Motions, body: Trajectory) -> float:
         off = np.linalg.norm(r_body - r_camera @ R.T, axis=1)
         return float(np.minimum(off, _MOST_OFF_RAD).mean())
 
-    best_s = 0.0
+    best_s = about_s
     for reach_s, step_s in ((_LATEST_S, _COARSE_S), (_COARSE_S, 0.1 * _COARSE_S)):
         tried_s = best_s + np.arange(-reach_s, reach_s + 0.5 * step_s, step_s)
         costs = [cost(each) for each in tried_s]

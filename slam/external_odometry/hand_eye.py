@@ -28,6 +28,7 @@ class HandEye:
         scale: what the body's translations have to be multiplied by, metres per unit.
         misfit: what is left of the motions, as a share of them.
         unexplained: the share of the motions of which nearly nothing is explained.
+        likeness: how alike both turn, -1 to 1, however noisy: their correlation.
         rotation_sigma_rad, arm_sigma_m, scale_sigma: standard deviations, 0 of what was given.
     """
 
@@ -35,6 +36,7 @@ class HandEye:
     scale: float
     misfit: float
     unexplained: float
+    likeness: float
     rotation_sigma_rad: float
     arm_sigma_m: float
     scale_sigma: float
@@ -77,6 +79,7 @@ def solve_hand_eye(
         factor,
         misfit(A, B, T, factor),
         _unexplained(A, B, T, factor),
+        _likeness(motions.camera_turns @ R.T, motions.body_turns, shares),
         float(sigmas[:3].max()),
         float(sigmas[3:6].max()),
         float(sigmas[6]),
@@ -159,3 +162,10 @@ def _unexplained(A: FloatArray, B: FloatArray, T_base_cam: FloatArray, scale: fl
     size_m = se3.translation_norm(A)
     moving = size_m > np.median(size_m)
     return float((off_m[moving] > 0.7 * size_m[moving]).mean()) if moving.any() else 0.0
+
+
+def _likeness(a: FloatArray, b: FloatArray, shares: FloatArray) -> float:
+    product, a_a, b_b = (
+        float((shares * (x * y).sum(axis=1)).sum()) for x, y in ((a, b), (a, a), (b, b))
+    )
+    return product / max(float(np.sqrt(a_a * b_b)), 1e-12)

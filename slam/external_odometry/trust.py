@@ -217,7 +217,7 @@ def _bad_stretches(motions: Sequence[Link], path: _Path) -> tuple[int, ...]:
     doubted = []
     for row in range(1, len(path.ids)):
         over = squared[is_short & (ends[:, 0] < row) & (row <= ends[:, 1])]
-        if len(over) >= _MIN_OVER and np.median(over) > _BAD_STRETCH:
+        if len(over) >= _MIN_OVER and np.sort(over)[(len(over) - 1) // 2] > _BAD_STRETCH:
             doubted.append(int(path.ids[row]))
     return tuple(doubted)
 

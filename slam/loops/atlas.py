@@ -107,6 +107,10 @@ class Atlas:
         """Take where an odometry from elsewhere has keyframes, by id."""
         self._given.update(given)
 
+    def forget_given(self) -> None:
+        """Forget all that an odometry from elsewhere said."""
+        self._given.clear()
+
     def move(self, T_odom_kf: Mapping[int, FloatArray]) -> None:
         """Take (4, 4) poses by keyframe id for where the odometry has these keyframes now."""
         for k, T in T_odom_kf.items():

@@ -164,9 +164,9 @@ class BackEnd:
     ) -> ClosedLoops:
         """Weigh all loops once more and return what they make of the keyframes.
 
-        T_odom_kf has the (4, 4) poses, by keyframe id, that the odometry still changed; given, what
-        is better known now of one from elsewhere. The largest submap is that with the most frames
-        per keyframe id; default: one of each.
+        T_odom_kf has the (4, 4) poses, by keyframe id, that the odometry still changed; given,
+        where one from elsewhere has keyframes, if that is better known now. The largest submap is
+        that with the most frames per keyframe id; default: one of each.
 
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
@@ -174,7 +174,9 @@ class BackEnd:
         self.catch_up()
         with self._clock.stage("graph"):
             self._atlas.move(T_odom_kf)
-            self._atlas.give(given or {})
+            if given is not None:
+                self._atlas.forget_given()
+                self._atlas.give(given)
             largest = self._atlas.largest(frames)
             graph = largest.graph
             solution = solve(graph, self._inlier_probability)

@@ -365,6 +365,19 @@ def test_the_truth_given_as_an_odometry_stays_the_truth(frames, T_first_cam, seq
         assert error.ate_rmse_m < 1e-3
 
 
+def test_where_the_images_show_nothing_the_odometry_leads_on(frames, T_first_cam, sequence):
+    """Half of a lap is dark; what is seen then was never seen before."""
+    slam = Slam(CAMERA, GradientRecognizer(), Config(loop=LoopConfig(min_gap=1000)))
+    for i, (frame, T) in enumerate(zip(frames, T_first_cam, strict=True)):
+        slam.process(black(frame) if 15 <= i < 32 else frame, T)
+    result = slam.finish()
+    assert np.isfinite(result.T_world_kf).all() and not len(result.unjoined_s)
+    assert len(result.given.corrected) == 60
+    for trajectory in (result.trajectory, result.given.corrected):
+        error = trajectory_error(trajectory, sequence.ground_truth, EvaluationConfig())
+        assert error.ate_rmse_m < 0.01
+
+
 def test_poses_that_have_nothing_to_do_with_the_images_are_not_used(frames, room_run):
     slam, rng = Slam(CAMERA, GradientRecognizer()), np.random.default_rng(0)
     for frame in frames:

@@ -130,6 +130,17 @@ def test_two_frames_that_are_mixed_leave_many_motions_unexplained(walk, T_base_c
     assert 0.35 < found.unexplained < 0.7
 
 
+def test_a_camera_that_stands_still_leaves_nothing_unexplained(walk, T_base_cam):
+    still = walk.T_world_cam.copy()
+    still[:] = still[300]
+    stamps_s = walk.timestamps_s
+    moving, standing = (
+        motions(Trajectory(stamps_s, T), T_base_cam, noise=1.0) for T in (walk.T_world_cam, still)
+    )
+    both = [np.concatenate(pair) for pair in zip(moving, standing, strict=True)]
+    assert solve_hand_eye(*both).unexplained < 0.02
+
+
 def test_motions_of_another_body_leave_nearly_everything(walk, T_base_cam):
     A, B, shares = motions(walk, T_base_cam)
     assert solve_hand_eye(A, np.roll(B, 260, axis=0), shares).misfit > 0.7
