@@ -48,6 +48,10 @@ class Slam:
         self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
         self._session_starts_s: list[float] = []
+        # Where another odometry's frame is in that of tracking, by the last frame that had a pose;
+        # and the map, which lies where it had the first one.
+        self._T_odom_given: FloatArray | None = None
+        self._T_map_world: FloatArray | None = None
 
     @property
     def has_keyframes(self) -> bool:
@@ -139,6 +143,11 @@ class Slam:
             given = self._external.next_keyframe(keyframe.timestamp_s, T_given_cam)
             self._back_end.insert(keyframe, tracked.links, tracked.moved, frame.rgb, given)
         self._frames.add(frame.timestamp_s, tracked)
+        if T_given_cam is not None:
+            self._T_odom_given = tracked.T_odom_cam @ se3.inverse(T_given_cam)
+            T_world_odom = self.correction.T_world_odom.get(tracked.segment)
+            if self._T_map_world is None and T_world_odom is not None:
+                self._T_map_world = se3.inverse(T_world_odom @ self._T_odom_given)
         return tracked
 
     @property
@@ -180,17 +189,15 @@ class Slam:
         where they contradict it they are followed, and it changes with every frame.
 
         Raises:
-            SlamError: no keyframe had a pose yet, or nothing tells where the camera is since it was
+            SlamError: no frame had a pose yet, or nothing tells where the camera is since it was
                 lost or a session began.
         """
-        begun, last = self._external.T_given_first, self._external.T_given_last
-        if begun is None or last is None:
-            raise SlamError("there is no keyframe with a pose yet that could be corrected")
-        if (T_world_given := self.correction.T_world_given) is not None:
-            return np.asarray(begun @ T_world_given)
-        return np.asarray(
-            begun @ self.T_world_odom() @ self._frames.T_odom_last @ se3.inverse(last)
-        )
+        if self._T_map_world is None or self._T_odom_given is None:
+            raise SlamError("there is no frame with a pose yet that could be corrected")
+        T_world_given = self.correction.T_world_given
+        if T_world_given is None:
+            T_world_given = self.T_world_odom() @ self._T_odom_given
+        return np.asarray(self._T_map_world @ T_world_given)
 
     def settle(self) -> None:
         """Wait until all keyframes are taken in and `correction` knows of their loops.

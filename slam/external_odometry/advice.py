@@ -18,8 +18,8 @@ _SIGMAS = 4.0
 # Of the motions left under the best reading: more, and frame, clock and unit cannot be told; more
 # still, and the poses have nothing to do with the images. Those of other recordings leave 1.
 _VAGUE, _NO_FIT = 0.3, 0.95
-# Correlation of turning: what is only noisy is more alike than the first; where little is left, all
-# poses of one body are more alike than the second.
+# Correlation of turning: what is only noisy is more alike than the first; below the second some of
+# the poses do not belong, and nothing is said of how to read the others.
 _ALIKE, _ONE_BODY = 0.6, 0.9
 _MIXED = 0.25  # share of the motions that are not explained at all, where the others are
 _NOT_OF_THESE_IMAGES = (
@@ -67,7 +67,8 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
         return Reading(asked)
     if _is_foreign(found):
         return Reading(asked, (_NOT_OF_THESE_IMAGES,), fits=False)
-    if found.misfit > min(_VAGUE, _BETTER * found.misfit_before):
+    is_vague = found.misfit > _VAGUE or found.hand_eye.likeness < _ONE_BODY
+    if is_vague or found.misfit > _BETTER * found.misfit_before:
         return Reading(asked)
     used, sentences = asked, list[str]()
     for part in (_direction, _frame, _clock, _scale):
@@ -88,7 +89,7 @@ def _is_foreign(found: Calibration) -> bool:
     best, left = found.hand_eye, min(found.misfit, found.misfit_before)
     if left > _NO_FIT:
         return best.likeness < _ALIKE
-    return left < _VAGUE and (best.unexplained > _MIXED or best.likeness < _ONE_BODY)
+    return left < _VAGUE and best.unexplained > _MIXED
 
 
 def _direction(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:

@@ -27,6 +27,7 @@ _LATEST_S, _COARSE_S, _FINE_S = 1.0, 0.02, 0.001
 # leaves more, another direction or order of quaternions has to leave so much less.
 _WELL, _CLEARLY = 0.15, 0.6
 _ABOUT_AS_WELL, _ABOUT = 1.25, 0.005  # what a simpler reading may leave more
+_SAME_CLOCK = 1.15  # and the clock that was asked for
 _KNOWN = 10.0  # standard deviations that a scale is above zero
 _MOST_OFF_RAD = np.radians(10.0)
 
@@ -129,9 +130,20 @@ def _fit(motions: _Motions, given: Trajectory, reading: Convention) -> Calibrati
     least = min((each.misfit for each in solutions), default=np.inf)
     for solution in solutions:  # the simplest come first
         if solution.misfit <= _ABOUT_AS_WELL * least + _ABOUT:
+            if _fits_as_asked(motions, body, reading.time_offset_s, solution):
+                offset_s = reading.time_offset_s
             found = replace(reading, T_base_cam=solution.T_base_cam, scale=solution.scale)
             return Calibration(replace(found, time_offset_s=offset_s), solution, np.inf)
     return None
+
+
+def _fits_as_asked(motions: _Motions, body: Trajectory, asked_s: float, solution: HandEye) -> bool:
+    """Whether the offset that was asked for does about as well as the one that was found."""
+    pair = _compared(motions, body, asked_s)
+    if pair is None:
+        return False
+    left = misfit(*pair[:2], solution.T_base_cam, solution.scale)
+    return left <= _SAME_CLOCK * solution.misfit + _ABOUT
 
 
 def _compared(

@@ -35,12 +35,7 @@ def checked_pose(timestamp_s: float, T_odom_cam: FloatArray) -> FloatArray:
 
 
 class ExternalOdometry:
-    """The poses of an odometry from elsewhere; false while there are none.
-
-    Attributes:
-        T_given_first: (4, 4), of the camera at the first keyframe that has a pose, None before.
-        T_given_last: the same of the last frame that had one.
-    """
+    """The poses of an odometry from elsewhere; false while there are none."""
 
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
@@ -51,8 +46,6 @@ class ExternalOdometry:
         self._is_new_session = False
         self._new_sessions_s: list[float] = []
         self._stamps_s: dict[int, float] = {}
-        self.T_given_first: FloatArray | None = None
-        self.T_given_last: FloatArray | None = None
 
     def __bool__(self) -> bool:
         return len(self._given) > 0
@@ -88,8 +81,7 @@ class ExternalOdometry:
             self._new_sessions_s.append(timestamp_s)
             self._is_new_session = False
         one = Trajectory(np.array([timestamp_s]), T_odom_body[None])
-        self.T_given_last = self._asked.camera_poses(one).T_world_cam[0]
-        return self.T_given_last
+        return np.asarray(self._asked.camera_poses(one).T_world_cam[0])
 
     def at(self, timestamp_s: float) -> FloatArray | None:
         """Return where the odometry has the camera at a time about that of its last pose.
@@ -115,8 +107,6 @@ class ExternalOdometry:
         """Return what a keyframe is told of where the odometry has it, None where it has not."""
         if T_given_cam is None:
             return None
-        if self.T_given_first is None:
-            self.T_given_first = T_given_cam
         start_s, self._last_keyframe_s = self._last_keyframe_s, timestamp_s
         return self._keyframe(start_s, timestamp_s, T_given_cam)
 

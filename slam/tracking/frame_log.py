@@ -124,11 +124,6 @@ class FrameLog:
         """The segment of the last frame that was placed, None before there is one."""
         return self._frames[-1].segment if self._frames else None
 
-    @property
-    def T_odom_last(self) -> FloatArray:
-        """(4, 4) where the odometry had the last frame that was placed."""
-        return self._frames[-1].T_odom_cam
-
     def lose(self, timestamp_s: float) -> None:
         """Remember a frame that could not be placed."""
         self._lost_s.append(timestamp_s)

@@ -82,8 +82,7 @@ def test_it_is_true_once_there_is_a_pose_and_keeps_a_copy():
     T[0, 3], covariance[0, 0] = 9.0, 9.0
     assert external
     np.testing.assert_array_equal(external.camera_poses.T_world_cam, ahead(1.0, 1.0))
-    np.testing.assert_array_equal(external.T_given_last, ahead(1.0)[0])
-    told = external.next_keyframe(1.0, external.T_given_last)
+    told = external.next_keyframe(1.0, ahead(1.0)[0])
     np.testing.assert_array_equal(told.covariance, 2.0 * np.eye(6))
 
 
@@ -95,7 +94,6 @@ def test_a_pose_comes_back_as_the_cameras(T_base_cam):
     assert external.time_offset_s == 0.2
     found = external.add(3.2, ahead(4.0)[0], None)
     np.testing.assert_allclose(found, ahead(2.0)[0] @ T_base_cam, atol=1e-12)
-    np.testing.assert_array_equal(external.T_given_last, found)
     assert external.camera_poses.timestamps_s == pytest.approx([3.0])
 
 
@@ -130,11 +128,9 @@ def test_what_is_asked_for_by_the_images_clock_is_found_by_the_odometrys():
 def test_a_keyframe_is_told_what_came_since_the_one_before():
     external = filled(steady(np.arange(11) / 10), covariance=np.eye(6))
     assert external.next_keyframe(0.1, None) is None
-    assert external.T_given_first is None
     T = steady([0.2, 0.5]).T_world_cam
     first = external.next_keyframe(0.2, T[0])
     second = external.next_keyframe(0.5, T[1])
-    np.testing.assert_array_equal(external.T_given_first, T[0])
     np.testing.assert_array_equal(second.T_given_cam, T[1])
     np.testing.assert_array_equal(first.covariance, 3.0 * np.eye(6))
     np.testing.assert_array_equal(second.covariance, 3.0 * np.eye(6))
