@@ -105,7 +105,8 @@ def judge(
         doubted = tuple(sorted({*doubted, *find(motions, path)}))
         path = _Path(given, stamps_s, doubted)
         motions = [each for each in motions if path.has(each)]
-    verdict, rotation, translation = _weigh(motions, path)
+    # What the first image shows is bent in a way that its noise does not tell.
+    verdict, rotation, translation = _weigh(path.but_of_first(motions) or motions, path)
     links: list[Link] = []
     if verdict is not Verdict.SHARED:
         # What the images contradict is nowhere known better than they know themselves; what they do
@@ -150,6 +151,10 @@ class _Path:
         if ref is None or query is None:
             return False
         return bool(self._piece[ref] == self._piece[query])
+
+    def but_of_first(self, motions: Sequence[Link]) -> list[Link]:
+        """Return the motions that do not begin at the first keyframe."""
+        return [each for each in motions if each.ref_id != self.ids[0]]
 
     def rows(self, ids: IntArray) -> IntArray:
         """Return the rows of keyframe ids."""
@@ -241,8 +246,9 @@ def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, F
         return Verdict.UNKNOWN, *assumed
     compared = _Comparison.of(motions, path)
     squared = compared.squared(_NOTHING, _NOTHING)
-    if len(motions) < _MIN_COMPARED:
-        return Verdict.UNKNOWN if _is_usual(squared) else Verdict.NOISY, *assumed
+    if len(motions) < _MIN_COMPARED:  # most of them begin at the first image
+        is_far_off = float(np.median(squared)) > _FIRST_JUMP
+        return Verdict.NOISY if is_far_off else Verdict.UNKNOWN, *assumed
     if np.median(squared) < _SHARED * _RIGHT_MEDIAN:
         return Verdict.SHARED, _NOTHING, _NOTHING
     spans = list(_spans(compared.lags))
