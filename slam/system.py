@@ -234,7 +234,7 @@ class Slam:
         given = self._read_external(T_odom_kf, stamps_s) if self._external else None
         loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
         keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
-            replace(each, T_odom_cam=T_odom_kf.get(each.id, each.T_odom_cam)) for each in keyframes
+            replace(each, T_odom_cam=T_odom_kf[each.id]) for each in keyframes
         )
         T_odom_segment = odometry_frames(keyframes, loops.links)
         T_world_kf, T_world_kf_without = loops.T_world_kf, loops.T_world_kf_without

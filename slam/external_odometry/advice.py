@@ -121,8 +121,7 @@ def _frame(config: OdometryConfig, found: Calibration, asked: Convention) -> lis
     other = "the camera's optical one" if config.T_base_cam in (None, "auto") else "asked for"
     return [
         f"the odometry's poses are of another frame than {other}: --odometry.T-base-cam {flag}"
-        f" (known to {sigma_deg:.1f} deg and"
-        f" {100.0 * known.arm_sigma_m:.1f} cm); {done}"
+        f" (known to {sigma_deg:.1f} deg and {100.0 * known.arm_sigma_m:.1f} cm); {done}"
     ]
 
 

@@ -251,7 +251,7 @@ def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, F
         return Verdict.NOISY if is_far_off else Verdict.UNKNOWN, *assumed
     if np.median(squared) < _SHARED * _RIGHT_MEDIAN:
         return Verdict.SHARED, _NOTHING, _NOTHING
-    spans = list(_spans(compared.lags))
+    spans = _spans(compared.lags)
     if all(_is_usual(squared[span]) for span in spans):
         return Verdict.BORNE_OUT, _NOTHING, _NOTHING
     rotation, translation = (_variances(compared, part) for part in (slice(0, 3), slice(3, 6)))
