@@ -18,9 +18,10 @@ from slam.types import FloatArray, IntArray, Link, RelativePose
 
 _RIGHT_MEDIAN = 5.35  # of a squared error in units of its covariance, six degrees of freedom
 _MIN_COMPARED = 8  # motions; of fewer nothing can be said, and nothing of fewer in a span
-# Truth itself has been seen at up to this many times the right median, and the median of N is known
-# to this much over the root of N.
-_IN_DOUBT, _MEDIAN_SPREAD = 1.2, 1.5
+# Truth itself has been seen at up to this many times the right median, and the median over N images
+# is known to this much over the root of N: three standard deviations, for it is asked again and
+# again on the way, and each false alarm moves the camera.
+_IN_DOUBT, _MEDIAN_SPREAD = 1.2, 2.5
 # Truth has not been seen below half the right median; what was made from the same images, below a
 # seventh. Its errors are ours, and it adds nothing to them.
 _SHARED = 0.3
@@ -181,6 +182,7 @@ class _Comparison:
     covariances: FloatArray  # (N, 6, 6), the images'
     extents: FloatArray  # (N, 3)
     lags: IntArray  # (N,) keyframes
+    images: IntArray  # (N,) the later one's row, whose noise all of its motions share
 
     @staticmethod
     def of(motions: Sequence[Link], path: _Path) -> "_Comparison":
@@ -193,6 +195,7 @@ class _Comparison:
             np.linalg.inv(np.array([each.motion.information for each in motions])),
             path.extents(pairs),
             np.abs(rows[:, 1] - rows[:, 0]),
+            rows.max(axis=1),
         )
 
     def squared(self, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -252,7 +255,7 @@ def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, F
     if np.median(squared) < _SHARED * _RIGHT_MEDIAN:
         return Verdict.SHARED, _NOTHING, _NOTHING
     spans = _spans(compared.lags)
-    if all(_is_usual(squared[span]) for span in spans):
+    if all(_is_usual(squared[span], compared.images[span]) for span in spans):
         return Verdict.BORNE_OUT, _NOTHING, _NOTHING
     rotation, translation = (_variances(compared, part) for part in (slice(0, 3), slice(3, 6)))
     if _is_negligible(compared, rotation, translation):
@@ -279,8 +282,9 @@ def _spans(lags: IntArray) -> list[NDArray[np.bool_]]:
     return enough or [np.ones(len(lags), bool)]
 
 
-def _is_usual(squared: FloatArray) -> bool:
-    limit = _IN_DOUBT + _MEDIAN_SPREAD / np.sqrt(len(squared))
+def _is_usual(squared: FloatArray, images: IntArray) -> bool:
+    # Motions of one image are wrong together: no more is known than there are images.
+    limit = _IN_DOUBT + _MEDIAN_SPREAD / np.sqrt(len(np.unique(images)))
     return bool(np.median(squared) <= limit * _RIGHT_MEDIAN)
 
 

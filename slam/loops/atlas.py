@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.external_odometry.trust import GivenKeyframe, Trust, judge
+from slam.external_odometry.trust import GivenKeyframe, Trust, Verdict, judge
 from slam.geometry import se3
 from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
@@ -64,7 +64,9 @@ class LargestSubmap:
         }
         T_world_given = None
         if self.trust and self.trust.is_followed and self.T_given_kf:
-            k = max(self.T_given_kf)
+            # Before anything can be said of it, and no loop was closed, it stays as it begins.
+            is_untried = self.trust.verdict is Verdict.UNKNOWN and not self.graph.loops
+            k = (min if is_untried else max)(self.T_given_kf)
             T_world_given = solution.T_world_kf[k] @ se3.inverse(self.T_given_kf[k])
         return Correction(version, newest_id, solution.T_world_kf, T_world_odom, T_world_given)
 

@@ -66,6 +66,20 @@ def test_the_truth_is_borne_out_and_followed(truth, seed):
     assert not trust.rotation_noise.any() and not trust.translation_noise.any()
 
 
+def test_the_truth_is_hardly_ever_doubted_on_the_way(truth):
+    """Of each keyframe all motions share the error, as those of one image do."""
+    doubted = 0
+    for seed in range(40):
+        errors = IMAGES_SIGMA / np.sqrt(2.0) * np.random.default_rng(seed).normal(size=(COUNT, 6))
+        seen = motions(truth @ se3.exp(errors), noise=0.0)
+        verdicts = set()
+        for count in range(10, COUNT + 1, 6):
+            known = [each for each in seen if each.query_id < count]
+            verdicts.add(judge(known, keyframes(truth[:count]), STAMPS_S).verdict)
+        doubted += not verdicts <= {Verdict.UNKNOWN, Verdict.BORNE_OUT}
+    assert doubted <= 2  # of 40
+
+
 def test_what_is_borne_out_is_stiffer_than_anything_that_the_images_say(truth):
     trust = judge(motions(truth), keyframes(truth), STAMPS_S)
     assert [(each.ref_id, each.query_id) for each in trust.steps] == [

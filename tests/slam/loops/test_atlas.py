@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from slam.external_odometry.trust import GivenKeyframe
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, LargestSubmap, odometry_frames
 from slam.loops.submaps import NEEDED_PLACES
@@ -243,6 +244,22 @@ def test_the_correction_of_a_segment_is_known_once_it_is_joined(run):
     assert joined.version == 7 and joined.newest_id == 3 and len(joined.T_world_kf) == 6
     for segment, T_world_odom in joined.T_world_odom.items():
         np.testing.assert_allclose(T_world_odom, T_WORLD_OF[segment], atol=1e-6)
+
+
+def test_an_odometry_from_elsewhere_stays_where_it_begins_until_it_can_be_judged(run):
+    for _ in range(3):
+        run.add(0)
+    T_given_odom, bend = se3.exp(np.full(6, 0.5)), se3.exp(np.array([0.0, 0.0, 0.02, 0.0, 0.03, 0]))
+    T_given_kf = [T_given_odom @ T @ (bend if k else np.eye(4)) for k, T in enumerate(run.T_truth)]
+    run.atlas.give({k: GivenKeyframe(T) for k, T in enumerate(T_given_kf)})
+
+    def T_world_given():
+        solved = run.finish()
+        return solved.largest.correction(1, 2, solved.solution).T_world_given
+
+    np.testing.assert_allclose(T_world_given(), se3.inverse(T_given_odom), atol=1e-6)
+    run.add(0, [(0, TRUE)])  # a loop is something to correct it by
+    assert np.abs(T_world_given() - se3.inverse(T_given_odom)).max() > 1e-3
 
 
 def test_the_loops_of_one_keyframe_have_no_more_information_than_one(run):
