@@ -26,6 +26,10 @@ _NOT_OF_THESE_IMAGES = (
     "the odometry's poses do not fit the images in whatever way they are read: they are of another"
     " recording, or of several frames mixed; they were not used"
 )
+# Each part of a run does so well alone where the whole does not, and so far apart are their frames:
+# then they are of two bodies.
+_PART_MISFIT, _APART_DEG, _APART_M = 0.15, 5.0, 0.15
+_DRIFT, _DRIFT_SIGMAS = 0.03, 3.0  # of the scale, from the first quarter of a run to the last
 _BETTER = 0.9  # what is left under another reading than the one asked for, as a share
 
 
@@ -65,11 +69,14 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
     asked = asked_convention(config)
     if found is None:
         return Reading(asked)
-    if _is_foreign(found):
-        return Reading(asked, (_NOT_OF_THESE_IMAGES,), fits=False)
+    if misfit := _mixed(found) or _foreign(found):
+        return Reading(asked, (misfit,), fits=False)
     is_vague = found.misfit > _VAGUE or found.hand_eye.likeness < _ONE_BODY
-    if is_vague or found.misfit > _BETTER * found.misfit_before:
+    if is_vague:
         return Reading(asked)
+    drift = _scale_drift(found)
+    if found.misfit > _BETTER * found.misfit_before:
+        return Reading(asked, drift)
     used, sentences = asked, list[str]()
     for part in (_direction, _frame, _clock, _scale):
         sentences += part(config, found, asked)
@@ -82,14 +89,49 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
         used = replace(used, time_offset_s=found.convention.time_offset_s)
     if config.scale == "auto" and _scale(config, found, asked):
         used = replace(used, scale=found.convention.scale)
-    return Reading(used, tuple(sentences))
+    return Reading(used, (*sentences, *drift))
 
 
-def _is_foreign(found: Calibration) -> bool:
+def _foreign(found: Calibration) -> str | None:
     best, left = found.hand_eye, min(found.misfit, found.misfit_before)
-    if left > _NO_FIT:
-        return best.likeness < _ALIKE
-    return left < _VAGUE and best.unexplained > _MIXED
+    is_other = left > _NO_FIT and best.likeness < _ALIKE
+    is_in_part = left < _VAGUE and best.unexplained > _MIXED
+    return _NOT_OF_THESE_IMAGES if is_other or is_in_part else None
+
+
+def _mixed(found: Calibration) -> str | None:
+    """Return a sentence if an early and a late part are poses of different bodies."""
+    if found.hand_eye.likeness >= _ONE_BODY or not found.sides:
+        return None
+    early, late = found.sides
+    off = se3.inverse(early.T_base_cam) @ late.T_base_cam
+    turned_deg, moved_m = np.degrees(se3.rotation_angle(off)), float(se3.translation_norm(off))
+    sigma_m = float(np.hypot(early.arm_sigma_m, late.arm_sigma_m))
+    is_apart = turned_deg > _APART_DEG or moved_m > max(_APART_M, _SIGMAS * sigma_m)
+    if max(early.misfit, late.misfit) > _PART_MISFIT or not is_apart:
+        return None
+    return (
+        "the odometry's earlier and later poses are of two frames mixed, turned by"
+        f" {turned_deg:.0f} deg and {100.0 * moved_m:.0f} cm apart: hand over those of one; they"
+        " were not used"
+    )
+
+
+def _scale_drift(found: Calibration) -> tuple[str, ...]:
+    if len(found.quarters) < 2:
+        return ()
+    first, *_, last = found.quarters
+    if min(first.scale, last.scale) <= 0.0:
+        return ()
+    ratio = last.scale / first.scale
+    sigma = float(np.hypot(first.scale_sigma / first.scale, last.scale_sigma / last.scale))
+    if abs(ratio - 1.0) < max(_DRIFT, _DRIFT_SIGMAS * sigma):
+        return ()
+    return (
+        f"the odometry's scale drifts: its ways would have to be multiplied by {first.scale:.3f} in"
+        f" the first quarter of the run and by {last.scale:.3f} in the last (known to {sigma:.1%});"
+        " no one --odometry.scale mends that",
+    )
 
 
 def _direction(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:

@@ -9,6 +9,7 @@ well as the best.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -40,11 +41,15 @@ class Calibration:
         convention: the reading under which they do.
         hand_eye: how well; its frame and scale are the convention's.
         misfit_before: what is left of the motions under the reading that was asked for.
+        quarters: how well each quarter of the run does, with a scale of its own.
+        sides: the two parts of the run that do best, each with a frame and a scale of its own.
     """
 
     convention: Convention
     hand_eye: HandEye
     misfit_before: float
+    quarters: tuple[HandEye, ...] = ()
+    sides: tuple[HandEye, ...] = ()
 
     @property
     def misfit(self) -> float:
@@ -69,6 +74,12 @@ class _Motions:
         parts = [_pairs(each, span_s) for each in visual for span_s in _SPANS_S if len(each) > 1]
         columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
         return _Motions(*columns) if columns else _Motions(*[np.zeros(0)] * 4)
+
+    def between(self, start_s: float, end_s: float) -> "_Motions":
+        """Return those that neither begin before nor end after two times."""
+        inside = (self.start_s >= start_s) & (self.end_s <= end_s)
+        every = (self.start_s, self.end_s, self.T_start_end, self.shares)
+        return _Motions(*(each[inside] for each in every))
 
 
 def _pairs(visual: Trajectory, span_s: float) -> tuple[FloatArray, ...]:
@@ -109,8 +120,29 @@ def calibrate(
     fits = [replace(each, misfit_before=before) for each in found if each]
     best = min(fits, key=lambda each: each.misfit, default=None)
     if best and found[0] and best.misfit > _CLEARLY * fits[0].misfit:
-        return fits[0]
-    return best
+        best = fits[0]
+    return best and _in_parts(best, motions, given)
+
+
+def _in_parts(found: Calibration, motions: _Motions, given: Trajectory) -> Calibration:
+    """Return the calibration with what it would be for parts of the run alone."""
+    reading = found.convention
+    body = _plain(reading).body_poses(given)
+
+    def solved(start_s: float, end_s: float, T_base_cam: FloatArray | None) -> list[HandEye]:
+        pair = _compared(motions.between(start_s, end_s), body, reading.time_offset_s)
+        return [solve_hand_eye(*pair, T_base_cam)] if pair else []
+
+    bounds_s = np.quantile([motions.start_s.min(), motions.end_s.max()], np.linspace(0, 1, 5))
+    quarters = (solved(*each, reading.T_base_cam) for each in pairwise(bounds_s))
+    first_s, *splits_s, last_s = bounds_s
+    sides = [solved(first_s, at_s, None) + solved(at_s, last_s, None) for at_s in splits_s]
+    best = min((each for each in sides if len(each) == 2), key=_worse_misfit, default=())
+    return replace(found, quarters=tuple(chain(*quarters)), sides=tuple(best))
+
+
+def _worse_misfit(parts: Sequence[HandEye]) -> float:
+    return max(each.misfit for each in parts)
 
 
 def _plain(reading: Convention) -> Convention:

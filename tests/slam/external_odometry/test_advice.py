@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,45 @@ def test_settings_say_how_poses_are_to_be_read():
     assert convention.is_inverted and convention.is_w_first
     for config in (CAMERA, AUTO):
         assert is_same(asked_convention(config), Convention())
+
+
+def eye(T=None, scale=1.0, misfit=0.03, scale_sigma=0.01):
+    return HandEye(np.eye(4) if T is None else T, scale, misfit, 0.0, 1.0, 0.002, 0.01, scale_sigma)
+
+
+@pytest.mark.parametrize("T", [turned(30.0), moved(0.4)], ids=["turned", "moved"])
+def test_poses_of_two_bodies_are_refused_and_told_how_far_apart_they_are(T):
+    mixed = replace(found(0.2, 0.2, (0.1, 0.6)), sides=(eye(), eye(T)))
+    reading = read(AUTO, mixed)
+    assert not reading.fits
+    (said,) = reading.sentences
+    assert "two frames mixed" in said
+    assert ("turned by 30 deg and 0 cm" in said) or ("turned by 0 deg and 40 cm" in said)
+
+
+@pytest.mark.parametrize(
+    ("sides", "likeness"),
+    [
+        ((eye(), eye(turned(30.0))), 0.97),
+        ((eye(), eye(turned(30.0), misfit=0.4)), 0.6),
+        ((eye(), eye(turned(2.0))), 0.6),
+        ((), 0.6),
+    ],
+    ids=["of one body as a whole", "a side that fits nowhere", "the same frame", "too short"],
+)
+def test_sides_that_prove_nothing_are_not_held_against_poses(sides, likeness):
+    assert read(AUTO, replace(found(0.2, 0.2, (0.1, likeness)), sides=sides)).fits
+
+
+@pytest.mark.parametrize(
+    ("last", "sigma", "is_said"),
+    [(0.9, 0.01, True), (1.1, 0.01, True), (1.02, 0.001, False), (0.9, 0.05, False)],
+)
+@pytest.mark.parametrize("before", [0.02, 0.8])
+def test_a_scale_that_drifts_is_told(last, sigma, is_said, before):
+    quarters = (eye(scale_sigma=sigma), eye(), eye(), eye(scale=last, scale_sigma=sigma))
+    said = read(CAMERA, replace(found(before=before), quarters=quarters)).sentences
+    assert any("scale drifts" in each and f"by {last:.3f} in" in each for each in said) is is_said
 
 
 @pytest.mark.parametrize(

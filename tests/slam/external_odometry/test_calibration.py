@@ -136,3 +136,37 @@ def test_a_clock_is_looked_for_around_the_one_that_is_set(tracked, camera, asked
     late = Convention(time_offset_s=5.0).as_given(camera)
     found = calibrate([tracked], late, Convention(time_offset_s=asked_s))
     assert found.convention.time_offset_s == pytest.approx(5.0, abs=0.004)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_poses_of_two_bodies_do_well_on_either_side_of_a_split_alone(
+    tracked, camera, T_base_cam, share
+):
+    T, change = camera.T_world_cam.copy(), int(share * len(camera))
+    T[change:] = T[change:] @ se3.inverse(T_base_cam)
+    found = calibrate([tracked], Trajectory(camera.timestamps_s, T), AS_IT_IS)
+    early, late = found.sides
+    assert max(early.misfit, late.misfit) < 0.15
+    apart = se3.inverse(early.T_base_cam) @ late.T_base_cam
+    difference = se3.inverse(T_base_cam) @ apart
+    assert np.degrees(se3.rotation_angle(difference)) < 5.0
+    assert found.hand_eye.likeness < 0.9
+
+
+def test_the_sides_of_one_body_agree(tracked, camera):
+    early, late = calibrate([tracked], camera, AS_IT_IS).sides
+    apart = se3.inverse(early.T_base_cam) @ late.T_base_cam
+    assert np.degrees(se3.rotation_angle(apart)) < 2.0
+
+
+def test_a_scale_that_drifts_is_seen_by_quarters(tracked, camera):
+    T = camera.T_world_cam
+    steps = se3.inverse(T[:-1]) @ T[1:]
+    steps[:, :3, 3] *= np.linspace(0.9, 1.1, len(steps))[:, None]
+    poses = [T[0]]
+    for step in steps:
+        poses.append(poses[-1] @ step)
+    found = calibrate([tracked], Trajectory(camera.timestamps_s, np.array(poses)), AS_IT_IS)
+    scales = [each.scale for each in found.quarters]
+    expected = [1.0 / middle for middle in (0.925, 0.975, 1.025, 1.075)]
+    np.testing.assert_allclose(scales, expected, rtol=0.02)
