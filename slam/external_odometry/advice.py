@@ -118,11 +118,9 @@ def _mixed(found: Calibration) -> str | None:
 
 
 def _scale_drift(found: Calibration) -> tuple[str, ...]:
-    if len(found.quarters) < 2:
+    if not found.ends or min(each.scale for each in found.ends) <= 0.0:
         return ()
-    first, *_, last = found.quarters
-    if min(first.scale, last.scale) <= 0.0:
-        return ()
+    first, last = found.ends
     ratio = last.scale / first.scale
     sigma = float(np.hypot(first.scale_sigma / first.scale, last.scale_sigma / last.scale))
     if abs(ratio - 1.0) < max(_DRIFT, _DRIFT_SIGMAS * sigma):

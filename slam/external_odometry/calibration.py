@@ -9,7 +9,6 @@ well as the best.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -41,14 +40,15 @@ class Calibration:
         convention: the reading under which they do.
         hand_eye: how well; its frame and scale are the convention's.
         misfit_before: what is left of the motions under the reading that was asked for.
-        quarters: how well each quarter of the run does, with a scale of its own.
+        ends: how well the first and the last quarter of the run do, each with a scale of its own.
         sides: the two parts of the run that do best, each with a frame and a scale of its own.
+            Either is empty where one of the two is too short to be compared.
     """
 
     convention: Convention
     hand_eye: HandEye
     misfit_before: float
-    quarters: tuple[HandEye, ...] = ()
+    ends: tuple[HandEye, ...] = ()
     sides: tuple[HandEye, ...] = ()
 
     @property
@@ -129,16 +129,15 @@ def _in_parts(found: Calibration, motions: _Motions, given: Trajectory) -> Calib
     reading = found.convention
     body = _plain(reading).body_poses(given)
 
-    def solved(start_s: float, end_s: float, T_base_cam: FloatArray | None) -> list[HandEye]:
-        pair = _compared(motions.between(start_s, end_s), body, reading.time_offset_s)
-        return [solve_hand_eye(*pair, T_base_cam)] if pair else []
+    def solved(parts: list[tuple[float, float]], T_base_cam: FloatArray | None) -> list[HandEye]:
+        pairs = [_compared(motions.between(*each), body, reading.time_offset_s) for each in parts]
+        return [solve_hand_eye(*pair, T_base_cam) for pair in pairs if pair]
 
-    bounds_s = np.quantile([motions.start_s.min(), motions.end_s.max()], np.linspace(0, 1, 5))
-    quarters = (solved(*each, reading.T_base_cam) for each in pairwise(bounds_s))
-    first_s, *splits_s, last_s = bounds_s
-    sides = [solved(first_s, at_s, None) + solved(at_s, last_s, None) for at_s in splits_s]
+    first_s, *splits_s, last_s = np.linspace(motions.start_s.min(), motions.end_s.max(), 5).tolist()
+    ends = solved([(first_s, splits_s[0]), (splits_s[-1], last_s)], reading.T_base_cam)
+    sides = [solved([(first_s, at_s), (at_s, last_s)], None) for at_s in splits_s]
     best = min((each for each in sides if len(each) == 2), key=_worse_misfit, default=())
-    return replace(found, quarters=tuple(chain(*quarters)), sides=tuple(best))
+    return replace(found, ends=tuple(ends) if len(ends) == 2 else (), sides=tuple(best))
 
 
 def _worse_misfit(parts: Sequence[HandEye]) -> float:
