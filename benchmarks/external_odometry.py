@@ -72,7 +72,7 @@ def stepped(true: Trajectory, error: Callable[[int, float], FloatArray]) -> Traj
 
 def read_as(**wrong: object) -> Callable[[Sequence], Trajectory]:
     """Return what writes the truth down in another convention."""
-    convention = Convention(**wrong)  # type: ignore[arg-type]
+    convention = Convention(**wrong)
     return lambda sequence: convention.as_given(truth(sequence))
 
 
@@ -159,7 +159,7 @@ def rows(sequence: Sequence, folder: Path) -> Iterator[tuple[str, Row]]:
     name = sequence.name.replace("rgbd_dataset_freiburg", "fr")
     for file in sorted((folder.parent / "odometry").glob(f"*_{name}*.txt")):
         poses = read_pose_file(file, sequence.timestamps_s).trajectory
-        yield file.stem, Row(lambda _, poses=poses: poses)  # type: ignore[misc]
+        yield file.stem, Row(lambda _, poses=poses: poses)
 
 
 HEADER = (

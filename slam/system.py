@@ -11,8 +11,9 @@ from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.evaluation.steps import impossible_steps
+from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.odometry import ExternalOdometry
-from slam.external_odometry.trust import GivenKeyframe, Verdict
+from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
 from slam.loops.atlas import Correction, odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops

@@ -9,8 +9,9 @@ import numpy as np
 from slam.config import OdometryConfig
 from slam.external_odometry.advice import Reading, asked_convention, judgement, read
 from slam.external_odometry.calibration import calibrate
+from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.given_poses import GivenPoses, poses_between
-from slam.external_odometry.trust import GivenKeyframe, Trust
+from slam.external_odometry.trust import Trust
 from slam.geometry import se3
 from slam.result import GivenOdometry
 from slam.types import FloatArray, Link, SlamError, Trajectory

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from slam.external_odometry.comparison import Comparison, GivenKeyframe, GivenPath
 from slam.geometry import se3
 from slam.types import FloatArray, IntArray, Link, RelativePose
 
@@ -75,22 +76,6 @@ class Trust:
         return self.verdict in (Verdict.BORNE_OUT, Verdict.UNKNOWN)
 
 
-@dataclass(frozen=True)
-class GivenKeyframe:
-    """Where an odometry from elsewhere has a keyframe.
-
-    Attributes:
-        T_given_cam: (4, 4), in the odometry's frame.
-        covariance: (6, 6) of its motion since the keyframe before, as a tangent on the right, where
-            it tells it: then that is believed.
-        is_new: whether it began anew since the keyframe before, as in another session.
-    """
-
-    T_given_cam: FloatArray
-    covariance: FloatArray | None = None
-    is_new: bool = False
-
-
 def judge(
     motions: Sequence[Link], given: Mapping[int, GivenKeyframe], stamps_s: Mapping[int, float]
 ) -> Trust:
@@ -98,13 +83,13 @@ def judge(
 
     The motions are what images measured between keyframes, which have times by id.
     """
-    path = _Path(given, stamps_s)
+    path = GivenPath(given, stamps_s)
     motions = [each for each in motions if path.has(each)]
     steps, compared = path.steps(), len(motions)
     doubted: tuple[int, ...] = ()
     for find in (_jumps, _bad_stretches):
         doubted = tuple(sorted({*doubted, *find(motions, path)}))
-        path = _Path(given, stamps_s, doubted)
+        path = GivenPath(given, stamps_s, doubted)
         motions = [each for each in motions if path.has(each)]
     # What the first image shows is bent in a way that its noise does not tell.
     verdict, rotation, translation = _weigh(path.but_of_first(motions) or motions, path)
@@ -127,89 +112,10 @@ def judge(
     return Trust(verdict, rotation, translation, doubted, tuple(links), compared)
 
 
-class _Path:
-    """Where the odometry has the keyframes, and how far it is from one to the other."""
-
-    def __init__(
-        self,
-        given: Mapping[int, GivenKeyframe],
-        stamps_s: Mapping[int, float],
-        doubted: Sequence[int] = (),
-    ) -> None:
-        ids = sorted(given)
-        self.ids: IntArray = np.array(ids, np.int64)
-        self._row = {k: row for row, k in enumerate(ids)}
-        self.T = np.array([given[k].T_given_cam for k in ids]).reshape(-1, 4, 4)
-        self._piece = np.cumsum([given[k].is_new or k in doubted for k in ids])
-        step = se3.inverse(self.T[:-1]) @ self.T[1:]
-        seconds = np.diff([stamps_s[k] for k in ids])
-        sizes = np.column_stack([se3.translation_norm(step), se3.rotation_angle(step), seconds])
-        self._way = np.concatenate([np.zeros((1, 3)), np.cumsum(sizes.reshape(-1, 3), axis=0)])
-
-    def has(self, motion: Link) -> bool:
-        """Whether the odometry went from one of the keyframes to the other."""
-        ref, query = self._row.get(motion.ref_id), self._row.get(motion.query_id)
-        if ref is None or query is None:
-            return False
-        return bool(self._piece[ref] == self._piece[query])
-
-    def but_of_first(self, motions: Sequence[Link]) -> list[Link]:
-        """Return the motions that do not begin at the first keyframe."""
-        return [each for each in motions if each.ref_id != self.ids[0]]
-
-    def rows(self, ids: IntArray) -> IntArray:
-        """Return the rows of keyframe ids."""
-        return np.searchsorted(self.ids, ids)
-
-    def steps(self) -> list[tuple[int, int]]:
-        """Return consecutive keyframes that the odometry went between."""
-        is_step = np.diff(self._piece) == 0
-        return [
-            (int(a), int(b)) for a, b in np.column_stack([self.ids[:-1], self.ids[1:]])[is_step]
-        ]
-
-    def extents(self, pairs: IntArray) -> FloatArray:
-        """Return (N, 3), metres, radians and seconds on the way between (N, 2) keyframes."""
-        rows = self.rows(pairs)
-        return np.asarray(np.abs(self._way[rows[:, 1]] - self._way[rows[:, 0]]))
-
-
-@dataclass(frozen=True)
-class _Comparison:
-    """Motions of the images, and how far those of the odometry are off."""
-
-    errors: FloatArray  # (N, 6)
-    covariances: FloatArray  # (N, 6, 6), the images'
-    extents: FloatArray  # (N, 3)
-    lags: IntArray  # (N,) keyframes
-    images: IntArray  # (N,) the later one's row, whose noise all of its motions share
-
-    @staticmethod
-    def of(motions: Sequence[Link], path: _Path) -> "_Comparison":
-        pairs = np.array([(each.ref_id, each.query_id) for each in motions])
-        rows = path.rows(pairs)
-        measured = np.array([each.motion.T_ref_query for each in motions])
-        given = se3.inverse(path.T[rows[:, 0]]) @ path.T[rows[:, 1]]
-        return _Comparison(
-            se3.log(se3.inverse(measured) @ given),
-            np.linalg.inv(np.array([each.motion.information for each in motions])),
-            path.extents(pairs),
-            np.abs(rows[:, 1] - rows[:, 0]),
-            rows.max(axis=1),
-        )
-
-    def squared(self, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-        """Return (N,) squared errors in units of the images' noise and the odometry's, added."""
-        more = np.repeat(self.extents @ np.column_stack([rotation, translation]), 3, axis=1)
-        total = self.covariances + more[:, :, None] * np.eye(6)
-        weights = np.linalg.inv(total)
-        return np.asarray(np.einsum("ni,nij,nj->n", self.errors, weights, self.errors))
-
-
 _NOTHING = np.zeros(3)
 
 
-def _jumps(motions: Sequence[Link], path: _Path) -> tuple[int, ...]:
+def _jumps(motions: Sequence[Link], path: GivenPath) -> tuple[int, ...]:
     """Return the keyframe ids that a step leads to which the images contradict."""
     squared, ends = _in_usual_units(motions, path)
     limit = np.where(ends[:, 0] == 0, _FIRST_JUMP, _JUMP)
@@ -217,7 +123,7 @@ def _jumps(motions: Sequence[Link], path: _Path) -> tuple[int, ...]:
     return tuple(path.ids[ends[is_jump, 1]].tolist())
 
 
-def _bad_stretches(motions: Sequence[Link], path: _Path) -> tuple[int, ...]:
+def _bad_stretches(motions: Sequence[Link], path: GivenPath) -> tuple[int, ...]:
     """Return those that a step leads to over which most of what the images say contradicts it."""
     squared, ends = _in_usual_units(motions, path)
     lags = ends[:, 1] - ends[:, 0]
@@ -230,24 +136,24 @@ def _bad_stretches(motions: Sequence[Link], path: _Path) -> tuple[int, ...]:
     return tuple(doubted)
 
 
-def _in_usual_units(motions: Sequence[Link], path: _Path) -> tuple[FloatArray, IntArray]:
+def _in_usual_units(motions: Sequence[Link], path: GivenPath) -> tuple[FloatArray, IntArray]:
     """Return (N,) squared errors, of which the median is not too large, and (N, 2) rows, in order.
 
     There are none where too few could be compared.
     """
     if len(motions) < _MIN_COMPARED:
         return np.zeros(0), np.zeros((0, 2), np.int64)
-    squared = _Comparison.of(motions, path).squared(_NOTHING, _NOTHING)
+    squared = Comparison.of(motions, path).squared(_NOTHING, _NOTHING)
     ends = np.sort(path.rows(np.array([(each.ref_id, each.query_id) for each in motions])), axis=1)
     return squared / max(1.0, float(np.median(squared)) / _RIGHT_MEDIAN), ends
 
 
-def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, FloatArray]:
+def _weigh(motions: Sequence[Link], path: GivenPath) -> tuple[Verdict, FloatArray, FloatArray]:
     """Return the verdict, and the variances of rotation and translation, (3,) each."""
     assumed = np.array(_ASSUMED_ROTATION), np.array(_ASSUMED_TRANSLATION)
     if not motions:
         return Verdict.UNKNOWN, *assumed
-    compared = _Comparison.of(motions, path)
+    compared = Comparison.of(motions, path)
     squared = compared.squared(_NOTHING, _NOTHING)
     if len(motions) < _MIN_COMPARED:  # most of them begin at the first image
         is_far_off = float(np.median(squared)) > _FIRST_JUMP
@@ -267,7 +173,7 @@ def _weigh(motions: Sequence[Link], path: _Path) -> tuple[Verdict, FloatArray, F
     return Verdict.NOISY, max(worst, 1.0) * rotation, max(worst, 1.0) * translation
 
 
-def _is_negligible(compared: _Comparison, rotation: FloatArray, translation: FloatArray) -> bool:
+def _is_negligible(compared: Comparison, rotation: FloatArray, translation: FloatArray) -> bool:
     """Whether noise is small beside the images', even over the longest way that was compared."""
     own = np.repeat(compared.extents.max(axis=0) @ np.column_stack([rotation, translation]), 3)
     images = np.median(np.einsum("nii->ni", compared.covariances), axis=0)
@@ -288,7 +194,7 @@ def _is_usual(squared: FloatArray, images: IntArray) -> bool:
     return bool(np.median(squared) <= limit * _RIGHT_MEDIAN)
 
 
-def _variances(compared: _Comparison, part: slice) -> FloatArray:
+def _variances(compared: Comparison, part: slice) -> FloatArray:
     """Return (3,) variances per metre, radian and second that the errors have beyond the images'.
 
     Iterated least squares, each motion by what its own variance lets be known, outliers by less.

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.external_odometry.trust import GivenKeyframe, Trust, Verdict, judge
+from slam.external_odometry.comparison import GivenKeyframe
+from slam.external_odometry.trust import Trust, Verdict, judge
 from slam.geometry import se3
 from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph

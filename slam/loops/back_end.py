@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.external_odometry.trust import GivenKeyframe, Trust
+from slam.external_odometry.comparison import GivenKeyframe
+from slam.external_odometry.trust import Trust
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, Correction, LargestSubmap
 from slam.loops.loop_closure import LoopCloser

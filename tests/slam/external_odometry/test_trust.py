@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.external_odometry.trust import GivenKeyframe, Verdict, judge
+from slam.external_odometry.comparison import GivenKeyframe
+from slam.external_odometry.trust import Verdict, judge
 from slam.geometry import se3
 from slam.types import Link, RelativePose
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from slam.external_odometry.trust import GivenKeyframe
+from slam.external_odometry.comparison import GivenKeyframe
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, LargestSubmap, odometry_frames
 from slam.loops.submaps import NEEDED_PLACES
