@@ -26,9 +26,7 @@ _NOT_OF_THESE_IMAGES = (
     "the odometry's poses do not fit the images in whatever way they are read: they are of another"
     " recording, or of several frames mixed; they were not used"
 )
-# Each part of a run does so well alone where the whole does not, and so far apart are their frames:
-# then they are of two bodies.
-_PART_MISFIT, _APART_DEG, _APART_M = 0.15, 5.0, 0.15
+_SIDE_ALONE = 0.15  # misfit of either part of a run where no one frame does for both: two bodies
 _DRIFT, _DRIFT_SIGMAS = 0.03, 3.0  # of the scale, from the first quarter of a run to the last
 _BETTER = 0.9  # what is left under another reading than the one asked for, as a share
 
@@ -101,15 +99,13 @@ def _foreign(found: Calibration) -> str | None:
 
 def _mixed(found: Calibration) -> str | None:
     """Return a sentence if an early and a late part are poses of different bodies."""
-    if found.hand_eye.likeness >= _ONE_BODY or not found.sides:
+    if not found.sides or found.misfit_of_sides < _VAGUE:
         return None
     early, late = found.sides
+    if max(early.misfit, late.misfit) > _SIDE_ALONE:
+        return None
     off = se3.inverse(early.T_base_cam) @ late.T_base_cam
     turned_deg, moved_m = np.degrees(se3.rotation_angle(off)), float(se3.translation_norm(off))
-    sigma_m = float(np.hypot(early.arm_sigma_m, late.arm_sigma_m))
-    is_apart = turned_deg > _APART_DEG or moved_m > max(_APART_M, _SIGMAS * sigma_m)
-    if max(early.misfit, late.misfit) > _PART_MISFIT or not is_apart:
-        return None
     return (
         "the odometry's earlier and later poses are of two frames mixed, turned by"
         f" {turned_deg:.0f} deg and {100.0 * moved_m:.0f} cm apart: hand over those of one; they"

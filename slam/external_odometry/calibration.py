@@ -43,6 +43,8 @@ class Calibration:
         ends: how well the first and the last quarter of the run do, each with a scale of its own.
         sides: the two parts of the run that do best, each with a frame and a scale of its own.
             Either is empty where one of the two is too short to be compared.
+        misfit_of_sides: what is left of the motions of the worse side under the one frame of the
+            three that leaves least.
     """
 
     convention: Convention
@@ -50,6 +52,7 @@ class Calibration:
     misfit_before: float
     ends: tuple[HandEye, ...] = ()
     sides: tuple[HandEye, ...] = ()
+    misfit_of_sides: float = 0.0
 
     @property
     def misfit(self) -> float:
@@ -74,6 +77,11 @@ class _Motions:
         parts = [_pairs(each, span_s) for each in visual for span_s in _SPANS_S if len(each) > 1]
         columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
         return _Motions(*columns) if columns else _Motions(*[np.zeros(0)] * 4)
+
+    @property
+    def quarters_s(self) -> list[float]:
+        """When the run begins, is a quarter over, and so on until its end."""
+        return [float(each) for each in np.linspace(self.start_s.min(), self.end_s.max(), 5)]
 
     def between(self, start_s: float, end_s: float) -> "_Motions":
         """Return those that neither begin before nor end after two times."""
@@ -121,27 +129,39 @@ def calibrate(
     best = min(fits, key=lambda each: each.misfit, default=None)
     if best and found[0] and best.misfit > _CLEARLY * fits[0].misfit:
         best = fits[0]
-    return best and _in_parts(best, motions, given)
+    return best and _with_sides(_with_ends(best, motions, given), motions, given, asked)
 
 
-def _in_parts(found: Calibration, motions: _Motions, given: Trajectory) -> Calibration:
-    """Return the calibration with what it would be for parts of the run alone."""
+def _with_ends(found: Calibration, motions: _Motions, given: Trajectory) -> Calibration:
     reading = found.convention
+    first_s, early_s, _, late_s, last_s = motions.quarters_s
+    pairs = _pairs_of(motions, given, reading, (first_s, early_s), (late_s, last_s))
+    return replace(found, ends=tuple(solve_hand_eye(*each, reading.T_base_cam) for each in pairs))
+
+
+def _with_sides(
+    found: Calibration, motions: _Motions, given: Trajectory, asked: Convention
+) -> Calibration:
+    first_s, *splits_s, last_s = motions.quarters_s
+    splits = [_pairs_of(motions, given, asked, (first_s, s), (s, last_s)) for s in splits_s]
+    tried = [(pairs, tuple(solve_hand_eye(*pair) for pair in pairs)) for pairs in splits if pairs]
+    if not tried:
+        return found
+    pairs, sides = min(tried, key=lambda each: max(side.misfit for side in each[1]))
+    as_one = min(
+        max(misfit(*pair[:2], each.T_base_cam, each.scale) for pair in pairs)
+        for each in (found.hand_eye, *sides)
+    )
+    return replace(found, sides=sides, misfit_of_sides=as_one)
+
+
+def _pairs_of(
+    motions: _Motions, given: Trajectory, reading: Convention, *parts: tuple[float, float]
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return what can be compared between times, for each part; none if one has too little."""
     body = _plain(reading).body_poses(given)
-
-    def solved(parts: list[tuple[float, float]], T_base_cam: FloatArray | None) -> list[HandEye]:
-        pairs = [_compared(motions.between(*each), body, reading.time_offset_s) for each in parts]
-        return [solve_hand_eye(*pair, T_base_cam) for pair in pairs if pair]
-
-    first_s, *splits_s, last_s = np.linspace(motions.start_s.min(), motions.end_s.max(), 5).tolist()
-    ends = solved([(first_s, splits_s[0]), (splits_s[-1], last_s)], reading.T_base_cam)
-    sides = [solved([(first_s, at_s), (at_s, last_s)], None) for at_s in splits_s]
-    best = min((each for each in sides if len(each) == 2), key=_worse_misfit, default=())
-    return replace(found, ends=tuple(ends) if len(ends) == 2 else (), sides=tuple(best))
-
-
-def _worse_misfit(parts: Sequence[HandEye]) -> float:
-    return max(each.misfit for each in parts)
+    pairs = [_compared(motions.between(*each), body, reading.time_offset_s) for each in parts]
+    return [each for each in pairs if each] if all(pairs) else []
 
 
 def _plain(reading: Convention) -> Convention:
