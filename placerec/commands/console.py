@@ -102,7 +102,8 @@ class _Lines(logging.Handler):
         self._is_verbose = is_verbose
 
     def emit(self, record: logging.LogRecord) -> None:
-        if not self._is_verbose and record.name.split(".")[0] not in _OURS:
+        is_ours = record.name.split(".")[0] in _OURS
+        if not is_ours and not (self._is_verbose and record.levelno >= logging.WARNING):
             return
         kind = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
         # Without a reader there is nothing to tell; the work is not to end by that.

@@ -827,10 +827,11 @@ def test_quiet_says_nothing_of_a_good_run(run_slam, short_recording):
     assert "summary.json" in names(ran.folder)
 
 
-def test_verbose_tells_how_far_it_is(run_slam, short_recording):
+def test_verbose_tells_how_far_it_is_and_what_is_logged(run_slam, short_recording):
     ran = run_slam(short_recording(4), "--verbose", *QUICK)
     told = [line for line in ran.err.splitlines() if line.startswith("tracking: ")]
     assert told == [f"tracking: {n} of 4" for n in (1, 2, 3, 4)]
+    assert "\nsegment 0 begins at " in ran.err
     assert ran.out.startswith("camera")
 
 
