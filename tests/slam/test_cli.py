@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from placerec import certificate
+from placerec import certificate, drawing
 from placerec.certificate import Certificate
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
@@ -78,8 +78,11 @@ def run_slam(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("LOOPCLOSE_TUM_URL", "http://127.0.0.1:9")
 
-    def run(*arguments, out="out"):
-        code = main([*map(str, arguments), "--out", str(out)])
+    def run(*arguments, out="out", is_rendered=False):
+        with pytest.MonkeyPatch.context() as patch:
+            if not is_rendered:  # figures are painted all the same, but that is the longest part
+                patch.setattr(drawing, "_save", lambda *_, **__: b"<svg></svg>")
+            code = main([*map(str, arguments), "--out", str(out)])
         printed = capsys.readouterr()
         return Ran(code, printed.out, printed.err, tmp_path / out)
 
@@ -178,7 +181,7 @@ def test_a_short_name_finds_the_local_copy(monkeypatch, short_recording, run_sla
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_hardly_any_frames_are_a_run_without_a_verdict(short_recording, run_slam, count):
-    ran = run_slam(short_recording(count))
+    ran = run_slam(short_recording(count), is_rendered=True)
     assert names(ran.folder) == OUTPUTS
     assert any("no ATE can be given" in warning for warning in ran.warnings)
 
@@ -837,6 +840,7 @@ def test_verbose_tells_how_far_it_is_and_what_is_logged(run_slam, short_recordin
 
 def test_a_bar_is_drawn_only_on_a_terminal(run_slam, short_recording, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TQDM_MININTERVAL", "0")  # or it is drawn only if there is time enough
     monkeypatch.setenv("NO_COLOR", "1")
     ran = run_slam(short_recording(4), *QUICK)
     assert "tracking: " in ran.err and "4/4" in ran.err and "\x1b[3" not in ran.err
