@@ -2,24 +2,19 @@
 """The `placerec` command, also as `python -m placerec`."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import partial, wraps
 from pathlib import Path
 
 import tyro
 
-from placerec.commands.calibrate import calibrate
-from placerec.commands.check import check
-from placerec.commands.evaluate import evaluate
-from placerec.commands.fit import fit
-from placerec.commands.train import train
+from placerec.commands import usage
+from placerec.commands.console import reporting
 from placerec.errors import LoopcloseError
 
 _BAD_USAGE = 2
 _DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
-
-_app = tyro.extras.SubcommandApp()
-for command in (check, evaluate, calibrate, fit, train):
-    _app.command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,10 +22,56 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A class that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
     try:
-        return int(_app.cli(prog="placerec", args=arguments, description=_DESCRIPTION))
+        with reporting(sys.argv[1:] if arguments is None else arguments) as typed:
+            return _parse(typed)()
     except LoopcloseError as error:
-        print(f"placerec: {error}", file=sys.stderr)
-        return _BAD_USAGE
+        # Loaded here: only a setting that is wrong needs the names of all.
+        from placerec.training.config import TrainingConfig
+
+        names = [each.name for each in fields(TrainingConfig)]
+        problem = usage.as_typed(str(error), names)
+    except KeyboardInterrupt:
+        problem = "interrupted before it was done"
+    print(f"placerec: {problem}", file=sys.stderr)
+    return _BAD_USAGE
+
+
+def _parse(typed: list[str]) -> Callable[[], int]:
+    """Return what was asked for, to be called.
+
+    Raises:
+        RecognizerError: something is wrong with what was typed.
+    """
+
+    def read(left: list[str]) -> Callable[[], int]:
+        # Loaded here, so that --version and typing errors of its kind answer at once.
+        from placerec.commands.calibrate import calibrate
+        from placerec.commands.check import check
+        from placerec.commands.evaluate import evaluate
+        from placerec.commands.fit import fit
+        from placerec.commands.train import train
+
+        commands = (check, evaluate, calibrate, fit, train)
+        told = (f"  {each.__name__:<10} {str(each.__doc__).splitlines()[0]}" for each in commands)
+        app = tyro.extras.SubcommandApp()
+        for command in commands:
+            app.command(_later(command))
+        asked: Callable[[], int] = app.cli(
+            prog="placerec", args=left, description="\n".join((_DESCRIPTION, "", *told))
+        )
+        return asked
+
+    return usage.answered("placerec", typed, read)
+
+
+def _later(command: Callable[..., int]) -> Callable[..., Callable[[], int]]:
+    """Return what takes a command's arguments and waits: only parsing is to be watched."""
+
+    @wraps(command)
+    def wait(*arguments: object, **named: object) -> Callable[[], int]:
+        return partial(command, *arguments, **named)
+
+    return wait
 
 
 if __name__ == "__main__":

@@ -2,21 +2,23 @@
 """The `run_slam` command, also as `python -m slam`: read a sequence, run, write the folder."""
 
 import gc
+import logging
 import math
 import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from tqdm import tqdm
 
+from placerec.commands import usage
+from placerec.commands.console import note, progress_bar, reporting, say
 from placerec.errors import LoopcloseError, deferred_interrupts
-from placerec.files import Progress
 from placerec.recognizer import load
 from slam.config import Config, load_config
 from slam.result import SlamResult
@@ -30,22 +32,31 @@ if TYPE_CHECKING:
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
+_log = logging.getLogger("slam")
 
 _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
 
-  run_slam demo                         render a room and run on it; needs no data
-  run_slam fr1_desk                     a sequence of the TUM RGB-D benchmark, fetched if needed
-  run_slam path/to/folder               a recording: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet,
-                                        Replica, Open3D, Redwood, RealSense, Stray Scanner or
-                                        Record3D, told by what it holds
-  run_slam recording.bag                a ROS 1 bag; so for .mcap, or the folder of a ROS 2 bag
-  run_slam fr1_xyz fr1_desk             recordings of one camera, in the order of time: one map
-  run_slam fr1_desk --odometry poses.txt
-                                        close loops for an odometry that you have: TUM, KITTI,
-                                        EuRoC or planar poses, or a bag; told by what it holds
+  run_slam demo                    render a room and run on it; needs no data
+  run_slam fr1_desk                of the TUM RGB-D benchmark; fetched if needed
+  run_slam path/to/recording       a folder in a format of --help-all, or a bag
+  run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
+  run_slam fr1_desk --odometry poses.txt       loops for poses that you have
+
+Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
+_DETAILS = """
+
+A recording is a folder, told by what it holds: TUM RGB-D, ICL-NUIM, 7-Scenes, ScanNet, Replica,
+Open3D, Redwood, RealSense, Stray Scanner or Record3D; or a ROS 1 bag, an .mcap file, or the folder
+of a ROS 2 bag. POSES are in TUM, KITTI, EuRoC or planar format, or a bag; told by what it holds.
+
+A setting is a flag, or a line of FILE.toml:
+
   run_slam fr1_desk --verification.min-inliers 40 --out runs/strict
 
-Writes trajectories, the pose graph, the loop ledger, a point cloud and report.html; open that."""
+Completion, for this shell, or for good in its start-up file:
+
+  eval "$(run_slam --completion bash)"
+"""
 
 
 @dataclass(frozen=True)
@@ -53,17 +64,17 @@ class Arguments:
     """What run_slam was asked to do."""
 
     sequence: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
-    """Folder of a recording, ROS bag, short name of a TUM RGB-D sequence, or `demo`."""
+    """Folder of a recording, ROS bag, TUM RGB-D name, or `demo`."""
     more: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")
     ] = ()
-    """Later recordings of the same camera, which are to make one map with the first."""
+    """Later recordings of the same camera; all are to make one map."""
     odometry: Annotated[Path | None, tyro.conf.arg(metavar="POSES")] = None
-    """File of the poses that another odometry has of the camera, or of the body that it is on."""
+    """File of another odometry's poses, of the camera or its body."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for the outputs; default: runs/SEQUENCE, the names of several joined by +."""
+    """Folder for the outputs, runs/SEQUENCE unless told; the names of several are joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
-    """Place recognizer: an installed name, package.module:ClassName, or FILE.safetensors."""
+    """Installed name, module:Class or FILE.safetensors."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
@@ -86,23 +97,28 @@ class Arguments:
 
 
 def parse(arguments: list[str]) -> Arguments:
-    """Return the parsed command line; exits with code 2 and a message where it is wrong.
+    """Return the parsed command line; exits with code 0 after --help and the like.
 
     Raises:
-        SlamError: the settings file cannot be used.
+        LoopcloseError: something is wrong with it, or the settings file cannot be used.
     """
     # --config is found before the rest is parsed: it holds the defaults of the other flags.
     finder = ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
     path: Path | None = finder.parse_known_args(arguments)[0].config
     defaults = Config() if path is None else load_config(path)
-    return tyro.cli(
-        tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
-        prog="run_slam",
-        description=_DESCRIPTION,
-        args=arguments,
-        default=Arguments(sequence=tyro.MISSING, settings=defaults),
-    )
+
+    def read(left: list[str]) -> Arguments:
+        return tyro.cli(
+            tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
+            prog="run_slam",
+            description=_DESCRIPTION + _DETAILS if usage.HELP_ALL in arguments else _DESCRIPTION,
+            args=left,
+            default=Arguments(sequence=tyro.MISSING, settings=defaults),
+        )
+
+    sections = {type(section).__name__: name for name, section in defaults}
+    return usage.answered("run_slam", arguments, read, sections)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -110,7 +126,8 @@ def main(arguments: list[str] | None = None) -> int:
     # A recognizer that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
     try:
-        _run(parse(sys.argv[1:] if arguments is None else arguments))
+        with reporting(sys.argv[1:] if arguments is None else arguments) as asked:
+            _run(parse(asked))
     except LoopcloseError as error:
         problem = str(error)
     except KeyboardInterrupt:
@@ -159,7 +176,7 @@ def _run(arguments: Arguments) -> None:
             shlex.join(arguments.command),
             poses,
         )
-    print(summary_table(result, drift, folder))
+    say(summary_table(result, drift, folder))
     if result.given and not result.given.fits:
         raise SlamError(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
     if stopped:
@@ -170,17 +187,17 @@ def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
     from slam.datasets import open_sequence, resolve
 
     if name != DEMO:
-        with _progress_bar("fetching", unit="B", unit_scale=True) as progress:
+        with progress_bar("fetching", unit="B") as progress:
             path = resolve(name, progress)
     elif not (path := folder / "sequence").exists():
         from slam.demo.recording import render_sequence
 
-        with _progress_bar("rendering", unit=" frames") as progress:
+        with progress_bar("rendering", unit="frame") as progress:
             render_sequence(path, progress=progress)
-    print(f"reading {path}", file=sys.stderr)
+    note(f"reading {path}")
     sequence = open_sequence(path, arguments.settings.input)
     for warning in sequence.warnings:  # now, for they may tell why the run fails
-        print(f"warning: {warning}", file=sys.stderr)
+        _log.warning("%s", warning)
     return sequence
 
 
@@ -193,7 +210,7 @@ def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFil
         return None, settings
     poses = read_odometry(arguments.odometry, sessions.timestamps_s, settings.input)
     for warning in poses.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        _log.warning("%s", warning)
     if poses.T_base_cam is not None and settings.odometry.T_base_cam is None:
         odometry = settings.odometry.model_copy(update={"T_base_cam": poses.T_base_cam})
         settings = settings.model_copy(update={"odometry": odometry})
@@ -240,14 +257,14 @@ class _Feed:
 
 def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:
     frames = iter(sequence)
-    with tqdm(total=len(sequence), desc="tracking", unit=" frames", dynamic_ncols=True) as bar:
-        while True:
+    with progress_bar("tracking", len(sequence), "frame") as progress:
+        for done in count(1):
             with slam.clock.stage("read"):
                 frame = next(frames, None)
             if frame is None:
                 return
             yield frame
-            bar.update()
+            progress(done)
 
 
 def _judge(
@@ -264,18 +281,6 @@ def _judge(
     except SlamError as error:
         return None, (f"no ATE can be given: {error}",)
     return drift, ()
-
-
-@contextmanager
-def _progress_bar(title: str, **options: object) -> Iterator[Progress]:
-    # The delay hides the bar where no progress is ever made.
-    with tqdm(desc=title, delay=1e-9, dynamic_ncols=True, **options) as bar:
-
-        def show(done: int, total: int | None) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield show
 
 
 if __name__ == "__main__":

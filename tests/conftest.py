@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+import os
 import signal
+from pathlib import Path
 
 import pytest
 
 from placerec.certificate import Certificate
+from slam.types import Camera
+
+FRAMES = 60
+FRAMES_PER_S = 7.5
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -12,6 +18,30 @@ def ctrl_c_interrupts():
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, usual)
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a TUM folder of 60 frames, 8 s: a third of the room there, and back again.
+
+    There it shows every other rendered image, back the rest: no image is seen twice. It is rendered
+    anew unless LOOPCLOSE_RENDERED names a folder for it, in which it is then found the next time.
+    """
+    folder = Path(os.environ.get("LOOPCLOSE_RENDERED", tmp_path_factory.mktemp("rendered")))
+    folder /= "recording"
+    if folder.exists():
+        return folder
+    from slam.demo import render_sequence  # which loads Open3D
+
+    camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+    render_sequence(folder, seconds=FRAMES / 15.0, camera=camera)
+    order = [*range(0, FRAMES, 2), *range(FRAMES - 1, 0, -2)]
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        _, *lines = (folder / name).read_text().splitlines()
+        values = [lines[i].split(" ", 1)[1] for i in order]
+        stamped = [f"{100 + i / FRAMES_PER_S:.6f} {value}\n" for i, value in enumerate(values)]
+        (folder / name).write_text("".join(stamped))
+    return folder
 
 
 @pytest.fixture

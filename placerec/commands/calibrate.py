@@ -7,7 +7,8 @@ from typing import Annotated
 import tyro
 
 from placerec.certificate import TAIL, Certificate, write_certificate
-from placerec.commands.data import RECOGNIZER, open_data, progress_bar
+from placerec.commands.console import progress_bar, say
+from placerec.commands.data import RECOGNIZER, open_data
 from placerec.datasets import describe
 from placerec.errors import RecognizerError
 from placerec.evaluation import calibration
@@ -22,7 +23,7 @@ def calibrate(
     recognizer: Annotated[str, tyro.conf.arg(metavar=RECOGNIZER)],
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """Find from which similarity a match is worth verifying, and from which it is surely right.
+    """Find from which similarity a match is worth verifying, or right.
 
     Example: placerec calibrate ie_tower:validation --recognizer runs/tower/weights.safetensors
 
@@ -49,7 +50,7 @@ def calibrate(
     kept = _keep(certificate, recognizer, out)
     low, high = certificate.threshold_interval
     least, most = certificate.recall_interval
-    print(
+    say(
         f"{describe(dataset)}\n"
         f"worth verifying from {certificate.min_similarity:.4f}: {TAIL:.0%} of the pairs of "
         f"different places are so alike, and {certificate.recall_to_verify:.1%} of those of one "

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from placerec.commands.console import say
 from placerec.commands.data import RECOGNIZER
 from placerec.conformance.examination import CHECKS, SECTIONS, Examination
 from placerec.conformance.made_images import PLACES
@@ -24,24 +25,24 @@ def check(
     recognizer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=RECOGNIZER)],
     /,
 ) -> int:
-    """Tell what a recognizer does right and wrong, what to mend, and what it costs.
+    """Tell what a recognizer does right and wrong, and what it costs.
 
     Args:
         recognizer: an installed name, package.module:ClassName, or trained weights.
     """
     examination = Examination(load(recognizer), recognizer)
-    print(f"{recognizer}, tried out on generated pictures of {PLACES} places", flush=True)
+    say(f"{recognizer}, tried out on generated pictures of {PLACES} places")
     findings = []
     for section, checks in SECTIONS.items():
         found = [examination.find(check) for check in checks]
-        print(f"\n{section}", *_rows(found), sep="\n", flush=True)
+        say("\n".join((f"\n{section}", *_rows(found))))
         findings += found
     for line in _costs(examination):
-        print(line)
+        say(line)
     counts = Counter(finding.verdict for finding in findings)
     failed, not_tried = counts[Verdict.FAILED], counts[Verdict.NOT_TRIED]
     what = f"{failed} of {len(findings)} checks failed" if failed else "all checks passed"
-    print(f"\n{what}" + (f", {not_tried} not tried" if not_tried else ""))
+    say(f"\n{what}" + (f", {not_tried} not tried" if not_tried else ""))
     return _DOES_NOT_CONFORM if failed else 0
 
 

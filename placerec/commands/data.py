@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share: opening the datasets that they are given, and the progress bar."""
+"""What the commands share: opening the datasets that they are given."""
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import logging
 from typing import Annotated
 
 import tyro
-from tqdm import tqdm
 
 from placerec.datasets import PlaceDataset, open_dataset
-from placerec.files import Progress
 
 Data = Annotated[
     tuple[str, ...],
@@ -19,6 +15,7 @@ Data = Annotated[
 ]
 RECOGNIZER = "NAME|MODULE:CLASS|FILE"
 """How the helps write what `load` takes."""
+_log = logging.getLogger("placerec")
 
 
 def open_data(source: str, part: str = "test") -> PlaceDataset:
@@ -33,13 +30,5 @@ def open_data(source: str, part: str = "test") -> PlaceDataset:
 def with_skipped_named(dataset: PlaceDataset) -> PlaceDataset:
     """Return a dataset, and name the images of it that cannot be read."""
     for broken in dataset.skipped:
-        print(f"placerec: skipped: {broken.why}: {broken.path}", file=sys.stderr)
+        _log.warning("skipped: %s: %s", broken.why, broken.path)
     return dataset
-
-
-@contextmanager
-def progress_bar(title: str, total: int, unit: str = "image") -> Iterator[Progress]:
-    """Show a bar while what is inside tells how much is done."""
-    # disable=None: no bar where nobody watches, as in a file.
-    with tqdm(desc=title, total=total, unit=unit, leave=False, disable=None) as bar:
-        yield lambda done, _: bar.update(done - bar.n)

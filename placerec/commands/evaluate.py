@@ -7,7 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from placerec.commands.data import RECOGNIZER, Data, open_data, progress_bar
+from placerec.commands.console import progress_bar, say
+from placerec.commands.data import RECOGNIZER, Data, open_data
 from placerec.datasets import describe
 from placerec.errors import RecognizerError
 from placerec.evaluation.measurement import Failed, Measurement, measure
@@ -42,7 +43,8 @@ def evaluate(
     not on this machine are left out, and the page says so.
 
     Args:
-        data: folders of images, each in one of these formats:
+        data: folders of images, their names under $LOOPCLOSE_DATA, or names of TUM RGB-D sequences
+            as run_slam takes them. Each in one of these formats:
             - rgb.txt, groundtruth.txt: TUM RGB-D
             - Images/, *GroundTruth.mat: New College, City Centre
             - query/, ref/: two drives of one path
@@ -63,8 +65,9 @@ def evaluate(
         # All that may be wrong with what was asked is found before the long work.
         loaded = _load_all(recognizers or (_ALL,))
         rows = _measure_all(data, loaded, out, cache)
-        print(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
-        print("".join(f"{note}\n" for note in notes(rows)), end="")
+        say(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
+        for note in notes(rows):
+            say(note)
         write_atomically(out / "results.csv", evaluation_csv(rows).encode())
         # Loaded here, because drawing takes a second to load that the other commands do not need.
         from placerec.evaluation.report.page import render
@@ -72,7 +75,7 @@ def evaluate(
         with progress_bar("drawing", len(rows), "figure") as progress:
             page = render(rows, progress)
         write_atomically(out / "index.html", page.encode())
-        print(f"written to {out / 'index.html'} and results.csv")
+        say(f"written to {out / 'index.html'} and results.csv")
     except KeyboardInterrupt:
         raise RecognizerError("stopped; embeddings that were kept are not made again") from None
     left_out = {name for name, each in loaded.items() if isinstance(each, RecognizerError)}
@@ -103,7 +106,7 @@ def _measure_all(
             with progress_bar(f"{turn} {name} on {dataset.name}", len(dataset)) as progress:
                 found = measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
             rows.append(found)
-        print(describe(dataset))
+        say(describe(dataset))
     return rows
 
 

@@ -10,9 +10,11 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from placerec.commands.data import Data, open_data, progress_bar, with_skipped_named
+from placerec.commands.console import progress_bar, say
+from placerec.commands.data import Data, open_data, with_skipped_named
 from placerec.datasets import PlaceDataset
 from placerec.datasets.images import images_in
+from placerec.datasets.names import find_data
 from placerec.datasets.place_dataset import keep_readable
 from placerec.errors import RecognizerError
 from placerec.files import Progress
@@ -33,7 +35,7 @@ def fit(
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     seed: int = 0,
 ) -> int:
-    """Learn a recognizer's vocabulary or the like from images; nobody has to label them.
+    """Learn what a recognizer needs from images that nobody labelled.
 
     Example: placerec fit bag-of-words path/to/images --out words.safetensors
 
@@ -69,7 +71,7 @@ def fit(
     names = tuple(dataset.name for dataset in datasets)
     threshold: Any = getattr(made, "min_similarity", None)
     write_fitted(path, recognizer, replace(fitted, trained_on=names, min_similarity=threshold))
-    print(f"learned from {count} images of {', '.join(names)}\nwritten to {path}, not calibrated")
+    say(f"learned from {count} images of {', '.join(names)}\nwritten to {path}, not calibrated")
     return 0
 
 
@@ -87,7 +89,7 @@ def _refuse(recognizer: str, data: Sequence[str], out: Path, seed: int) -> None:
 
 def _open_images(source: str) -> PlaceDataset:
     """Open a dataset to learn from without its truth, or just a folder of images."""
-    folder = Path(source)
+    folder = find_data(source) or Path(source)
     paths = tuple(images_in(folder)) if folder.is_dir() else ()
     if not paths:
         return open_data(source, "train")

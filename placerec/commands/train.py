@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from tqdm import tqdm
 
+from placerec.commands.console import progress_bar, say
 from placerec.commands.data import Data, with_skipped_named
 from placerec.datasets import LabelledImages, open_collection
 from placerec.errors import RecognizerError, deferred_interrupts
@@ -20,11 +20,13 @@ def train(
     data: Data,
     /,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
-    config: Annotated[TrainingConfig, tyro.conf.arg(name="")] = _DEFAULTS,
+    training: Annotated[TrainingConfig, tyro.conf.OmitArgPrefixes] = _DEFAULTS,
 ) -> int:
-    """Train a recognizer on images of known places; the same command goes on with a stopped one.
+    """Train a recognizer on images of known places, or go on with it.
 
     Example: placerec train ie_tower --out runs/tower --weights mobilenet_v2.npz --minutes 60
+
+    The same command goes on with a training that was stopped. --help-all lists what can be set.
 
     DIR then holds weights.safetensors, whose path names the recognizer from then on, log.csv and
     log.png. Measure and calibrate it on other images than these.
@@ -34,7 +36,7 @@ def train(
             training. At each recording drawn for a round, each of them has the same chance, and the
             fully connected layer starts from as many images of each.
         out: folder for the results and the checkpoint.
-        config: what is trained, and how.
+        training: what is trained, and how.
     """
     # Loaded here, because torch takes seconds that the other commands do not need.
     from placerec.training.run import start_training, write_results
@@ -47,38 +49,37 @@ def train(
         for source in data
     ]
     images, workers = LabelledImages(*collections), Workers()
-    hidden = None if workers.is_first else True
     with (
         deferred_interrupts() as interrupted,
-        tqdm(total=config.steps, desc="training", unit="step", leave=False, disable=hidden) as bar,
+        progress_bar("training", training.steps, "step", is_shown=workers.is_first) as progress,
     ):
 
-        def show(what: str) -> None:
-            bar.set_postfix_str(what)
+        def show(done: int, what: str) -> None:
+            progress(done, what=what)
             if interrupted.is_set():
                 raise KeyboardInterrupt
 
         def look(done: int, total: int | None) -> None:
-            show(f"looking at image {done} of {total}")
+            show(0, f"looking at image {done} of {total}")
 
         try:
-            training = start_training(config, images, out, workers, look)
+            started = start_training(training, images, out, workers, look)
             # Closed, it writes its checkpoint at once.
-            with closing(iter(training)) as records:
+            with closing(iter(started)) as records:
                 for record in records:
-                    bar.update(record.step - bar.n)
                     show(
+                        record.step,
                         f"loss {record.loss:.3f}, {record.sets_left} sets left, "
                         f"{record.images_per_s:.0f} images/s, "
-                        f"{record.time_to_go_s / 60:.1f} min to go"
+                        f"{record.time_to_go_s / 60:.1f} min to go",
                     )
         except KeyboardInterrupt:
             raise RecognizerError(f"stopped; the same command goes on from here: {out}") from None
     if workers.is_first:
-        path = write_results(training, config, out)
+        path = write_results(started, training, out)
         skipped = sum(len(dataset.skipped) for each in collections for dataset in each)
-        print(
-            f"the training is over: {training.end}\n"
+        say(
+            f"the training is over: {started.end}\n"
             f"learned from {len(images)} images ({skipped} skipped)\n"
             f"written to {path}, not calibrated yet"
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from placerec.datasets.clips import PARTS, read_clips
 from placerec.datasets.frame_pairs import read_drives, read_frame_pairs
+from placerec.datasets.names import benchmark_name, did_you_mean, find_data
 from placerec.datasets.oxford import find_ground_truth, read_oxford
 from placerec.datasets.place_dataset import PlaceDataset
 from placerec.datasets.tum import read_tum, read_tum_sessions
@@ -22,7 +23,8 @@ def open_dataset(source: str, part: str = "test") -> PlaceDataset:
 
     Args:
         source: FOLDER; FOLDER:PART of one of clips; or QUERY+REFERENCE, two recordings in one
-            world or, as QUERY+REFERENCE:FRAMES, two folders of images with a tolerance.
+            world or, as QUERY+REFERENCE:FRAMES, two folders of images with a tolerance. A folder
+            may also be named as `find_data` takes it.
         part: of a folder of clips, where the source names none.
 
     Raises:
@@ -42,8 +44,9 @@ def open_collection(source: str, part: str = "test") -> list[PlaceDataset]:
         LoopcloseError: as `open_dataset`, of any of them.
     """
     try:
-        inner = sorted(path for path in Path(source).glob("[!.]*") if path.is_dir())
-        if _is_dataset(Path(source)) or not any(_is_dataset(path) for path in inner):
+        folder = _located(source)
+        inner = sorted(path for path in folder.glob("[!.]*") if path.is_dir())
+        if _is_dataset(folder) or not any(_is_dataset(path) for path in inner):
             return [open_dataset(source, part)]
     except OSError as error:
         raise RecognizerError(f"cannot look into the folder: {error.strerror}: {source}") from error
@@ -70,7 +73,7 @@ def _reader_of_whole(folder: Path) -> Callable[[Path], PlaceDataset] | None:
 def _read_folder(source: str, part: str) -> PlaceDataset:
     folder, named = _split(source)
     if not folder.is_dir():
-        raise RecognizerError(f"there is no such folder: {folder}")
+        raise _absent(source)
     if _holds_clips(folder):
         return read_clips(folder, named or part)
     if named:
@@ -88,7 +91,7 @@ def _read_folder(source: str, part: str) -> PlaceDataset:
 def _read_sessions(queries: Path, references: Path, tolerance: str | None) -> PlaceDataset:
     for folder in (queries, references):
         if not folder.is_dir():
-            raise RecognizerError(f"there is no such folder: {folder}")
+            raise _absent(str(folder))
     if queries.resolve() == references.resolve():
         raise RecognizerError(f"both sides of + are one folder; name it once, alone: {queries}")
     are_recordings = [(folder / "rgb.txt").is_file() for folder in (queries, references)]
@@ -106,19 +109,34 @@ def _read_sessions(queries: Path, references: Path, tolerance: str | None) -> Pl
     return read_drives(queries, references, int(tolerance))
 
 
+def _absent(source: str) -> RecognizerError:
+    short_name = benchmark_name(source)
+    if short_name:
+        return RecognizerError(
+            f"this sequence is not at hand; `run_slam {short_name}` fetches it, or set"
+            f" LOOPCLOSE_DATA to the folder that it is in: {source}"
+        )
+    hint = f"; {question}" if (question := did_you_mean(source)) else ""
+    return RecognizerError(f"there is no such folder{hint}: {source}")
+
+
+def _located(source: str) -> Path:
+    return find_data(source) or Path(source)
+
+
 def _split_sessions(source: str) -> tuple[Path, Path, str | None] | None:
     """Return both folders and what follows a colon; None where the source is one folder."""
     if _split(source)[0].is_dir():
         return None
     for plus in re.finditer(re.escape("+"), source):
         queries, references = source[: plus.start()], source[plus.end() :]
-        if Path(queries).is_dir():
-            return Path(queries), *_split(references)
+        if _located(queries).is_dir():
+            return _located(queries), *_split(references)
     return None
 
 
 def _split(source: str) -> tuple[Path, str | None]:
     folder, colon, part = source.rpartition(":")
-    if not colon or Path(source).exists() or not Path(folder).is_dir():
-        return Path(source), None
-    return Path(folder), part
+    if not colon or find_data(source) or not _located(folder).is_dir():
+        return _located(source), None
+    return _located(folder), part

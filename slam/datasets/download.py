@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Short names of the TUM RGB-D benchmark's sequences, found on disk or fetched from its server."""
+"""Sequences of the TUM RGB-D benchmark, found on disk or fetched from its server."""
 
 import gzip
 import http.client
@@ -13,28 +13,14 @@ import time
 import urllib.error
 import urllib.request
 import zlib
-from contextlib import suppress
-from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 
+from placerec.datasets.names import benchmark_folder, benchmark_name, did_you_mean, find_data
 from placerec.files import Progress, cache_folder
 from slam.types import SlamError
 
 _SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
 
-_SEQUENCES = {
-    "1": "360 desk desk2 floor plant room rpy teddy xyz",
-    "2": "360_hemisphere 360_kidnap coke desk desk_with_person dishes flowerbouquet"
-    " flowerbouquet_brownbackground large_no_loop large_with_loop metallic_sphere"
-    " metallic_sphere2 pioneer_360 pioneer_slam pioneer_slam2 pioneer_slam3 rpy xyz",
-    "3": "cabinet large_cabinet long_office_household nostructure_notexture_far"
-    " nostructure_notexture_near_withloop nostructure_texture_far"
-    " nostructure_texture_near_withloop sitting_halfsphere sitting_rpy sitting_static sitting_xyz"
-    " structure_notexture_far structure_notexture_near structure_texture_far"
-    " structure_texture_near teddy walking_halfsphere walking_rpy walking_static walking_xyz",
-}
-_SHORT_NAMES = tuple(f"fr{n}_{name}" for n, names in _SEQUENCES.items() for name in names.split())
-_NICKNAMES = dict.fromkeys(("fr3_office", "fr3_long_office"), "fr3_long_office_household")
 _TRIES = 5
 _PAUSE_S = 0.5
 _TIMEOUT_S = 30.0
@@ -47,37 +33,24 @@ _log = logging.getLogger(__name__)
 def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
     """Return the folder of a sequence: a path, or a benchmark name, downloaded if need be.
 
-    A name is looked for under $LOOPCLOSE_DATA, then in the user's cache folder, then on the
-    benchmark's server (or the mirror $LOOPCLOSE_TUM_URL), whose archive goes to the cache folder.
+    A path or a name is looked for here, under $LOOPCLOSE_DATA, then, a benchmark name, in the
+    user's cache folder, then on the benchmark's server (or the mirror $LOOPCLOSE_TUM_URL), whose
+    archive goes to the cache folder.
 
     Raises:
         SlamError: it is neither a path nor a known name, or the download does not succeed.
     """
-    with suppress(OSError):  # such as a name too long for a path
-        if Path(name_or_path).exists():
-            return Path(name_or_path)
-    short_name = _short_name(name_or_path)
-    folder_name = f"rgbd_dataset_freiburg{short_name[2:]}"
-    data = os.environ.get("LOOPCLOSE_DATA")
-    for root in (*([Path(data)] if data else []), cache_folder()):
-        for candidate in (root / folder_name, root / short_name):
-            if (candidate / "rgb.txt").is_file():
-                return candidate
-    return _fetch(folder_name, progress)
-
-
-def _short_name(name: str) -> str:
-    plain = name.lower().strip("/").replace("-", "_").replace("/", "_")
-    plain = plain.removeprefix("rgbd_dataset_").replace("freiburg", "fr", 1)
-    plain = _NICKNAMES.get(plain, plain)
-    if plain in _SHORT_NAMES:
-        return plain
-    close = get_close_matches(plain, (*_SHORT_NAMES, *_NICKNAMES))
-    hint = f"did you mean {' or '.join(close)}?" if close else "names look like fr1_desk;"
-    raise SlamError(
-        f"there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name; {hint}"
-        f" the folder of a recording, or a bag, works too: {name}"
-    )
+    found = find_data(name_or_path)
+    if found is not None:
+        return found
+    short_name = benchmark_name(name_or_path)
+    if short_name is None:
+        raise SlamError(
+            "there is neither a folder nor a sequence of the TUM RGB-D benchmark of this name;"
+            f" {did_you_mean(name_or_path) or 'names look like fr1_desk;'}"
+            f" the folder of a recording, or a bag, works too: {name_or_path}"
+        )
+    return _fetch(benchmark_folder(short_name), progress)
 
 
 def _fetch(folder_name: str, progress: Progress | None) -> Path:

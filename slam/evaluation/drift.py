@@ -102,7 +102,7 @@ def trajectory_error(
             f"only {len(in_estimate)} of {len(estimate)} poses have ground truth in time, "
             f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
             f"{tolerance_s:g} s; check that both use one clock, or raise "
-            "evaluation.max_time_difference_s"
+            "--evaluation.max-time-difference-s"
         )
     T_world_cam, T_truth_cam = estimate.T_world_cam[in_estimate], truth.T_world_cam[in_truth]
     T_truth_world = align(T_world_cam[:, :3, 3], T_truth_cam[:, :3, 3])

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places, loops and the pose graph, one keyframe at a time, in a thread beside tracking."""
 
+import logging
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -38,6 +39,7 @@ _LOOP_GROWTH = 0.1
 # An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
 # more as that share.
 _JUDGED_AFTER = 1
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -248,6 +250,9 @@ class BackEnd:
             self._atlas.give({keyframe.id: given})
         self.keyframes.append(keyframe)
         self._attempts.extend(attempts)
+        for attempt in attempts:
+            if attempt.rejection is None:
+                _log.info("keyframe %d sees keyframe %d again", attempt.query_id, attempt.match_id)
         loops, solved = self._atlas.loops, self._solved_loops[keyframe.segment]
         if (
             self._is_due(keyframe, given)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -37,6 +38,7 @@ from slam.types import (
     RejectionReason,
 )
 
+_log = logging.getLogger(__name__)
 # How far from its place a landmark is looked for, in pixels of the finest level.
 _PREDICTED_RADII_PX = (15.0, 40.0)  # where the last motion should have gone on; then wider
 _AS_USUAL = 0.5  # share of the landmarks that the frame before saw
@@ -153,6 +155,7 @@ class RgbdOdometry:
         self.settle()
         was_lost = bool(self._trails)
         last_s = view.frame.timestamp_s
+        _log.info("segment %d begins at %.6f s", self._segments, last_s)
         self._trails.begin(MotionModel(self._segments, was_lost=was_lost, last_s=last_s))
         self._segments += 1
         self._T_given_last = T_given_cam

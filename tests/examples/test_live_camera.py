@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-import importlib.util
 import os
 import re
 import signal
 import sys
-from pathlib import Path
+from itertools import islice
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from slam import Camera, Config, Frame, SlamError, open_sequence, read_tum
-from slam.demo.recording import render_sequence
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "live_camera.py"
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
 
 
@@ -31,18 +28,8 @@ class Clock:
 
 
 @pytest.fixture(scope="module")
-def example():
-    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def frames(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("rendered") / "room"
-    render_sequence(folder, seconds=0.8, camera=CAMERA)
-    return list(open_sequence(folder, Config().input))
+def frames(recording):
+    return list(islice(open_sequence(recording, Config().input), 12))
 
 
 def filmed(example, work_s, fps=30.0, count=31):

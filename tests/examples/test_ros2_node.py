@@ -1,34 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node without ROS: messages are stand-ins with the fields that ROS 2 gives them."""
 
-import importlib.util
 import sys
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam import Camera, SlamError
-from slam.demo import build_room, drive, render
+from slam import Camera, Config, SlamError, open_sequence
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "ros2_node.py"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
 LATER_S = 0.013  # the odometry's poses than the images
 T_BASE_CAM = np.array(
     [[0.0, 0.0, 1.0, 0.1], [-1.0, 0.0, 0.0, 0.05], [0.0, -1.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]]
 )
-
-
-@pytest.fixture(scope="module")
-def example():
-    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[EXAMPLE.stem] = module  # dataclasses look for it there
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[EXAMPLE.stem]
 
 
 class Message(SimpleNamespace):
@@ -206,13 +192,10 @@ def test_markers_are_points_and_lines_in_the_map(example):
 
 
 @pytest.fixture(scope="module")
-def there_and_back():
+def there_and_back(recording):
     """Return times, frames and true poses of a camera that goes a third of the room and back."""
-    poses = drive(np.arange(60) / 15.0, seed=0)
-    tour = np.concatenate([poses[::2], poses[::-2]])
-    room, times_s = build_room(seed=0), 100.0 + np.arange(len(tour)) / 7.5
-    frames = [render(room, SMALL_CAMERA, T, t) for T, t in zip(tour, times_s, strict=True)]
-    return times_s, frames, tour
+    sequence = open_sequence(recording, Config().input)
+    return sequence.timestamps_s, list(sequence), sequence.ground_truth.T_world_cam
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-import importlib.util
-from pathlib import Path
+import io
+from contextlib import redirect_stdout
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,16 +10,7 @@ from slam import Camera, Config, SlamError, Trajectory, compare_drift, open_sequ
 from slam.datasets.pose_files import read_pose_file
 from slam.demo.recording import render_sequence
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "wheel_odometry.py"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
-
-
-@pytest.fixture(scope="module")
-def example():
-    spec = importlib.util.spec_from_file_location(EXAMPLE.stem, EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -69,29 +61,34 @@ def test_run_slam_reads_the_file(example, robot, tmp_path):
     np.testing.assert_allclose(read.trajectory.T_world_cam, base.T_world_cam, atol=1e-5)
 
 
-@pytest.mark.parametrize("is_told", [True, False], ids=["known mount", "auto"])
-def test_what_wheels_drift_goes_away(example, folder, is_told):
-    sequence = open_sequence(folder, Config().input)
-    truth = sequence.ground_truth
-    wheels = example.in_space(truth.timestamps_s, example.slipping(example.flat(truth)))
-    T_base_cam = example.mount(truth)
-    result = example.close_loops(sequence, wheels, T_base_cam if is_told else None)
-    drift = compare_drift(result, truth, Config().evaluation)
+@pytest.fixture(scope="module", params=["known", "auto"])
+def ran(request, example, folder, tmp_path_factory):
+    """Run the command, with the mount known or not; return what it found, wrote and printed."""
+    file, results, told = tmp_path_factory.mktemp("wheels") / "wheels.txt", [], io.StringIO()
+    close_loops = example.close_loops
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(told):
+        patch.setattr(
+            example, "close_loops", lambda *given: results.append(close_loops(*given)) or results[0]
+        )
+        example.main([str(folder), "--mount", request.param, "--wheels", str(file)])
+    return SimpleNamespace(mount=request.param, result=results[0], file=file, told=told.getvalue())
+
+
+def test_what_wheels_drift_goes_away(example, folder, ran):
+    truth = open_sequence(folder, Config().input).ground_truth
+    drift = compare_drift(ran.result, truth, Config().evaluation)
     assert drift.corrected.ate_rmse_m < 0.5 * drift.odometry.ate_rmse_m
-    asked = [each for each in result.warnings if "--odometry.T-base-cam" in each]
-    assert len(asked) == (not is_told)
-    if not is_told:  # the height of the camera is not to be known from a plane
+    asked = [each for each in ran.result.warnings if "--odometry.T-base-cam" in each]
+    assert len(asked) == (ran.mount == "auto")
+    if asked:  # the height of the camera is not to be known from a plane
         numbers = asked[0].split("--odometry.T-base-cam ")[1].split(" (")[0]
         found = np.array(numbers.split(), float)[:2]
         np.testing.assert_allclose(found, example.ARM_M[:2], atol=0.05)
 
 
-def test_command_tells_the_error_before_and_after(example, folder, tmp_path, capsys):
-    file = tmp_path / "wheels.txt"
-    example.main([str(folder), "--mount", "known", "--wheels", str(file)])
-    told = capsys.readouterr().out
-    assert "98 poses in" in told and len(file.read_text().splitlines()) == 98
-    assert "ATE of the camera" in told and "ATE of the base_link" in told
+def test_command_tells_the_error_before_and_after(ran):
+    assert "98 poses in" in ran.told and len(ran.file.read_text().splitlines()) == 98
+    assert "ATE of the camera" in ran.told and "ATE of the base_link" in ran.told
 
 
 def test_wheels_are_made_up_from_ground_truth(example, folder, tmp_path):

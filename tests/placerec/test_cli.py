@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import re
+from dataclasses import fields
+from importlib.metadata import version
 
 import pytest
 
 from placerec.__main__ import main
 from placerec.certificate import read_certificate
 from placerec.commands import evaluate
+from placerec.training.config import TrainingConfig
 
 
 def test_check_prints_a_table_and_passes(capsys):
@@ -41,11 +44,22 @@ def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [[], ["check"], ["bogus"]])
-def test_bad_usage(arguments):
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == 2
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "Expected one of {check, evaluate, calibrate, fit, train}"),
+        (["check"], "NAME|MODULE:CLASS|FILE"),
+        (["bogus"], "bogus"),
+        (["train", "x", "--out", "y", "--alpa", "3"], "perhaps you meant --alpha"),
+        (["train", "x", "--out", "y", "--batch-sets", "0"], "--batch-sets 0: input should be"),
+        (["train", "x", "--out", "y", "--size", "3"], "--size"),
+    ],
+)
+def test_bad_usage_is_one_line_that_names_what_was_typed(arguments, told, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("placerec: ") and told in error
+    assert error.count("\n") == 1 and "│" not in error
 
 
 GRADIENTS = "placerec.recognizers.gradients:GradientRecognizer"
@@ -212,10 +226,91 @@ def test_bad_input_is_one_line_and_code_2(arguments, message, capsys):
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate", "train"])
-def test_help_shows_an_example_or_what_is_needed(command, capsys):
+def printed_at_exit(arguments, capsys):
+    """Return what a command prints that ends with its help or the like."""
     with pytest.raises(SystemExit) as caught:
-        main([command, "--help"])
-    assert caught.value.code == 0
-    shown = capsys.readouterr().out
+        main(arguments)
+    assert not caught.value.code
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return printed.out
+
+
+@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate", "fit", "train"])
+def test_help_fits_on_a_screen_and_shows_an_example_or_what_is_needed(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = printed_at_exit([command, "--help"], capsys)
     assert "MODULE:CLASS" in shown or f"Example: placerec {command} " in shown
+    lines = shown.splitlines()
+    assert len(lines) <= 36 and max(map(len, lines)) <= 80
+    assert "--alpha" not in shown and "--help-all" in shown
+
+
+def test_help_lists_the_commands_each_in_a_line(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = printed_at_exit(["-h"], capsys).splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+    begins = [line.split()[0] for line in lines if line.startswith("  ")]
+    assert begins[:5] == ["check", "evaluate", "calibrate", "fit", "train"]
+
+
+def test_help_all_shows_every_setting(capsys):
+    shown = printed_at_exit(["train", "--help-all"], capsys)
+    for each in fields(TrainingConfig):
+        assert f"--{each.name.replace('_', '-')} " in shown.replace(",", " ")
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert printed_at_exit(["--version"], capsys) == f"placerec {version('loopclose')}\n"
+    assert printed_at_exit(["train", "--version"], capsys).startswith("placerec ")
+
+
+def test_completion_is_a_script_with_the_flags(capsys):
+    shown = printed_at_exit(["--completion", "bash"], capsys)
+    assert "--batch-sets" in shown and "complete " in shown
+
+
+# How much is said
+
+
+def test_quiet_leaves_only_warnings(drives, tmp_path, capsys):
+    assert main(["evaluate", "-q", drives, "--recognizers", GRADIENTS]) == 0
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err == f"warning: skipped: not a readable image: {drives}/ref/1.png\n"
+    assert (tmp_path / "runs/evaluation/results.csv").exists()
+
+
+def test_what_other_libraries_warn_of_is_shown_on_request(tmp_path, capsys, drives):
+    (tmp_path / "noisy.py").write_text(
+        "import logging, warnings\nimport numpy as np\n"
+        "class Noisy:\n    min_similarity = 0.5\n"
+        "    def embed(self, image):\n"
+        "        warnings.warn('odd \\x1b[31mweights', stacklevel=1)\n"
+        "        logging.getLogger('theirs').error('no cache')\n"
+        "        return np.array([0.6, 0.8], np.float32)\n"
+    )
+    command = ["evaluate", drives, "--recognizers", "noisy:Noisy"]
+    assert main(command) == 0
+    err = capsys.readouterr().err
+    assert "odd" not in err and "no cache" not in err
+    assert main(["-v", *command]) == 0
+    err = capsys.readouterr().err
+    assert "UserWarning: odd \\x1b[31mweights" in err and "error: no cache\n" in err
+    assert "\x1b" not in err and "Noisy on drives: 9 of 9" in err
+
+
+# Data by name
+
+
+def test_data_is_found_by_name_as_run_slam_finds_it(drives, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("LOOPCLOSE_DATA", str(tmp_path))
+    monkeypatch.chdir(tmp_path / "drives")
+    apart = ["--recognizers", GRADIENTS, "--out", str(tmp_path / "out")]
+    assert main(["evaluate", "drives", "drives/query+drives/ref:0", *apart]) == 0
+    assert [row["data"] for row in figures(tmp_path / "out")] == ["drives", "query+ref"]
+    assert main(["evaluate", "fr1_desk", *apart]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "placerec: this sequence is not at hand; `run_slam fr1_desk` fetches it, or set "
+        "LOOPCLOSE_DATA to the folder that it is in: fr1_desk"
+    )

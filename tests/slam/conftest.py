@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What many tests need: one small rendered recording, and two views of made-up points."""
+"""What many tests need: the recording that was rendered, read, and two views of made-up points."""
 
 import os
 import shutil
@@ -13,7 +13,6 @@ import pytest
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
-from slam.demo import render_sequence
 from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
 from slam.geometry.features import back_project
@@ -23,35 +22,12 @@ from slam.types import Camera, Features, FloatArray, Frame
 
 SHARED_DATA = Path(__file__).parents[2] / "../shared/data"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
-FRAMES = 60
-FRAMES_PER_S = 7.5
 
 
 @pytest.fixture(scope="session")
 def data() -> Path:
     """Return the folder of the real recordings; whoever asks skips what is not in it."""
     return Path(os.environ.get("LOOPCLOSE_DATA", SHARED_DATA))
-
-
-@pytest.fixture(scope="session")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a TUM folder of 60 frames, 8 s: a third of the room there, and back again.
-
-    There it shows every other rendered image, back the rest: no image is seen twice. It is rendered
-    anew unless LOOPCLOSE_RENDERED names a folder for it, in which it is then found the next time.
-    """
-    folder = Path(os.environ.get("LOOPCLOSE_RENDERED", tmp_path_factory.mktemp("rendered")))
-    folder /= "recording"
-    if folder.exists():
-        return folder
-    render_sequence(folder, seconds=FRAMES / 15.0, camera=SMALL_CAMERA)
-    order = [*range(0, FRAMES, 2), *range(FRAMES - 1, 0, -2)]
-    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
-        _, *lines = (folder / name).read_text().splitlines()
-        values = [lines[i].split(" ", 1)[1] for i in order]
-        stamped = [f"{100 + i / FRAMES_PER_S:.6f} {value}\n" for i, value in enumerate(values)]
-        (folder / name).write_text("".join(stamped))
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -315,21 +315,6 @@ def test_an_existing_folder_is_taken_as_it_is(site: Site, tmp_path: Path) -> Non
     assert resolve(str(tmp_path)) == tmp_path
 
 
-@pytest.mark.parametrize(
-    ("name", "short"),
-    [
-        ("fr1_desk", "fr1_desk"),
-        ("FR1/desk", "fr1_desk"),
-        ("freiburg1_desk", "fr1_desk"),
-        ("rgbd_dataset_freiburg2_pioneer_slam3", "fr2_pioneer_slam3"),
-        ("fr3_office", "fr3_long_office_household"),
-        ("fr3_long_office", "fr3_long_office_household"),
-    ],
-)
-def test_a_sequence_has_several_names(name: str, short: str) -> None:
-    assert download._short_name(name) == short
-
-
 def test_an_unknown_name_lists_the_close_ones(site: Site) -> None:
     with pytest.raises(SlamError, match="did you mean fr1_desk") as caught:
         resolve("fr1_dsk")

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
 
 from slam.config import FeaturesConfig, InputConfig, VerificationConfig
 from slam.datasets import open_sequence
+from slam.demo import recording
 from slam.demo.recording import FRAMES_PER_S, LAP_S, drive, render_sequence
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor
@@ -26,6 +29,15 @@ def contents(folder):
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def built_rooms():
+    """Build each room once, which takes longer than to render its few images."""
+    build_once = cache(recording.build_room)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "build_room", build_once)
+        yield build_once
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +63,8 @@ def test_the_folder_is_a_tum_sequence_with_truth_and_camera(rendered):
     ]
 
 
-def test_the_same_seed_gives_the_same_bytes(rendered, tmp_path):
+def test_the_same_seed_gives_the_same_bytes(rendered, built_rooms, tmp_path):
+    built_rooms.cache_clear()
     again, other = render_small(tmp_path / "again"), render_small(tmp_path / "other", seed=1)
     assert contents(again) == contents(rendered)
     assert all(

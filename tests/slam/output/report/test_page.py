@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from placerec import drawing
 from slam.output.report.page import write_report
 from slam.result import SlamResult
 from slam.types import RejectionReason, RelativePose, Trajectory
@@ -66,7 +67,10 @@ def render(*run: object, **more: object) -> str:
 
 
 def page_of(result: SlamResult, drift: object = None, title: str = "a run", **more: object) -> Page:
-    return Page(render(result, drift, "[loop]\n", title, **more))
+    """Return a page whose figures are painted but not rendered, which takes the longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drawing, "_save", lambda *_, **__: b"<svg></svg>")
+        return Page(render(result, drift, "[loop]\n", title, **more))
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +200,7 @@ def test_warnings_come_before_the_first_section(altered) -> None:
 @pytest.mark.parametrize("keyframes", [1, 2, 13])
 def test_a_run_without_any_attempt_has_a_page(make: Callable, keyframes: int) -> None:
     run = make(keyframes, attempts=0)
-    page = page_of(run.result, run.drift, truth=run.truth)
+    page = Page(render(run.result, run.drift, "", "a run", truth=run.truth))
     assert "no loop was tried" in page.text
     assert page.all("article") == []
 
@@ -213,7 +217,7 @@ def test_all_rejected_and_untracked_frames(run, altered) -> None:
         one for one in run.result.attempts if not isinstance(one.outcome, RelativePose)
     )
     lost = np.array([3.33, 3.36, 25.0])
-    page = page_of(altered(attempts=rejected, untracked_s=lost))
+    page = Page(render(altered(attempts=rejected, untracked_s=lost), None, "", "a run"))
     assert f"0 of {len(rejected)} candidates were accepted" in page.text
     assert "200 of 203" in page.text
     assert "not tracked" in page.text
