@@ -5,7 +5,6 @@ The TOML file, the command-line flags and the settings shown in the report all c
 """
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +18,7 @@ from pydantic import (
     field_validator,
 )
 
+from placerec.files import read_toml
 from slam.types import SlamError
 
 PYRAMID_SCALE = 1.2
@@ -195,12 +195,9 @@ def load_config(path: Path) -> Config:
     Raises:
         SlamError: the file is missing, is not TOML, or holds a value that is not allowed.
     """
+    values = read_toml(path, what="the settings file", kind=SlamError)
     try:
-        return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise SlamError(f"cannot read the settings file: {error.strerror}: {path}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SlamError(f"the settings file is not valid TOML: {error}: {path}") from error
+        return Config.model_validate(values)
     except ValidationError as error:
         raise SlamError(f"{_describe(error)}: {path}") from error
 

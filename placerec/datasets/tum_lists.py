@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.tables import read_text
 from placerec.errors import LoopcloseError
+from placerec.files import read_text
 
 FloatArray = NDArray[np.float64]
 

@@ -3,19 +3,19 @@
 
 import json
 import re
-import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from placerec.files import write_atomically
+from placerec.files import read_json, read_toml, write_atomically
 from slam.config import InputConfig, PositiveFloat, PositiveInt
 from slam.types import Camera, FloatArray, SlamError
 
 CAMERA_FILE = "camera.toml"
+_WHAT = "the camera file"
 UNITS_PER_M = 1000.0
 """The depth scale of nearly every sensor but the TUM benchmark's."""
 
@@ -95,16 +95,7 @@ def read_camera(path: Path) -> Camera:
     Raises:
         SlamError: the file is missing, is not TOML, or a key is missing, unknown or out of range.
     """
-    return camera_of(_parsed(path, "TOML", tomllib.loads), path)
-
-
-def _parsed(file: Path, kind: str, parse: Callable[[str], Any]) -> Any:
-    try:
-        return parse(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SlamError(f"cannot read the camera file: {error.strerror}: {file}") from error
-    except ValueError as error:  # no text, or not of this kind
-        raise SlamError(f"the camera file is not valid {kind}: {error}: {file}") from error
+    return camera_of(read_toml(path, what=_WHAT, kind=SlamError), path)
 
 
 def camera_of(values: Mapping[str, object], path: Path) -> Camera:
@@ -175,7 +166,7 @@ def read_intrinsics(file: Path) -> Camera:
     Raises:
         SlamError: the file cannot be read, or a value is missing or out of range.
     """
-    values = _parsed(file, "JSON", json.loads)
+    values = read_json(file, what=_WHAT, kind=SlamError)
     if not isinstance(values, dict):
         raise SlamError(f"the camera file does not hold names and values: {file}")
     if isinstance(values.get("camera"), dict):

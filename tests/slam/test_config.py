@@ -65,8 +65,8 @@ def test_text_that_is_not_toml(tmp_path):
 
 def test_bytes_that_are_not_text(tmp_path):
     path = tmp_path / "settings.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SlamError, match="not valid TOML"):
+    path.write_bytes(b"\x80\xff\x00")
+    with pytest.raises(SlamError, match="not text in UTF-8"):
         load_config(path)
 
 

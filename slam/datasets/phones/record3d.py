@@ -6,7 +6,6 @@ Their layout is described by its author in https://github.com/marek-simonik/reco
 are compressed is not known: those that are not by ZIP are refused.
 """
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
-from placerec.datasets.tables import read_text
+from placerec.files import read_json
 from slam.config import InputConfig
 from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
 from slam.datasets.images import FRAMES_PER_S, numbered_images, read_color
@@ -68,10 +67,7 @@ def open_record3d(path: Path, config: InputConfig) -> Sequence:
 
 
 def _read_metadata(file: Path) -> dict[str, Any]:
-    try:
-        metadata = json.loads(read_text(file))
-    except ValueError as error:
-        raise SlamError(f"the file is not valid JSON: {error}: {file}") from error
+    metadata = read_json(file, kind=SlamError)
     if not isinstance(metadata, dict):
         raise SlamError(f"the file does not hold names and values: {file}")
     return metadata
