@@ -2,6 +2,7 @@
 """Files: how they are opened, written whole or not at all, and where a cache of them is kept."""
 
 import codecs
+import io
 import json
 import os
 import stat
@@ -9,6 +10,10 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
 
 from placerec.errors import LoopcloseError
 
@@ -207,3 +212,24 @@ def _parsed(
         raise kind(f"{problem}: {error}: {file}") from error
     except RecursionError as error:
         raise kind(f"{problem}: it is nested too deeply: {file}") from error
+
+
+def array_of(content: bytes) -> NDArray[Any]:
+    """Return the array of numbers that the content of a .npy file is, whatever it claims to be.
+
+    Raises:
+        ValueError: it is none, of Python's objects, or not of the size that it says.
+    """
+    stream = io.BytesIO(content)
+    try:
+        major, _ = npy.read_magic(stream)
+        read = (
+            np.lib.format.read_array_header_1_0
+            if major == 1
+            else np.lib.format.read_array_header_2_0
+        )
+        shape, is_fortran, kind = read(stream)
+        numbers = np.frombuffer(content, kind, offset=stream.tell())
+        return numbers.reshape(shape, order="F" if is_fortran else "C").copy()
+    except Exception as error:  # the header is Python, and may say anything
+        raise ValueError("no array, or cut off") from error

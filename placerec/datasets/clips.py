@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_csv
+from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
 
 TEST_FLOORS = frozenset({"basement3", "floor6", "floor11", "floor16", "floor21"})
@@ -76,12 +77,13 @@ def _read_frames(folder: Path) -> list[Frame]:
     frames = []
     for line, (path, floor) in read_csv(table, ("image_path", "floor")):
         match = _FRAME.fullmatch(Path(path).name)
-        if match is None:
+        number = as_whole_number(match["number"]) if match else None
+        if match is None or number is None:
             raise RecognizerError(
                 f"line {line} names {Path(path).name!r}, not like clip_frame_000001.jpg: {table}"
             )
         clip = f"{floor}/{match['clip']}"
-        frames.append(Frame(floor, clip, int(match["number"]), folder / path))
+        frames.append(Frame(floor, clip, number, folder / path))
     return frames
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from placerec.datasets.images import images_in
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_csv
+from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
 
 _TOLERANCE_FRAMES = 2
@@ -70,10 +71,11 @@ def _images(folder: Path) -> list[Path]:
 def _read_matches(table: Path, queries: int, references: int) -> NDArray[np.bool_]:
     same_place = np.zeros((queries, references), dtype=np.bool_)
     for line, (query, matches) in read_csv(table, ("query", "refs")):
-        numbers = [query, *filter(None, matches.split(";"))]
-        if not all(number.strip().isdecimal() for number in numbers):
+        numbers = [as_whole_number(each) for each in (query, *filter(None, matches.split(";")))]
+        known = [number for number in numbers if number is not None]
+        if len(known) < len(numbers):
             raise RecognizerError(f'line {line} is not "query,ref;ref;...": {table}')
-        row, *columns = map(int, numbers)
+        row, *columns = known
         if row >= queries or max(columns, default=0) >= references:
             raise RecognizerError(
                 f"line {line} names an image that is not there: query/ has {queries} and ref/ "

@@ -76,6 +76,14 @@ def as_numbers(text: str) -> list[float] | None:
     return values if values and np.isfinite(values).all() else None
 
 
+def as_whole_number(text: str) -> int | None:
+    """Return a whole number of 64 bits from 0, or None where a text is none."""
+    digits = text.strip()
+    if not (digits.isascii() and digits.isdecimal()) or len(digits) > 100:
+        return None
+    return number if (number := int(digits)) < 1 << 63 else None
+
+
 def nearest(stamps_s: FloatArray, wanted_s: FloatArray) -> NDArray[np.int64]:
     """Return, for each of (M,) times, the index of the nearest of (N,) increasing stamps, N > 0.
 

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from placerec.datasets.image_size import check_size
 from placerec.files import read_json, read_toml, write_atomically
-from slam.config import InputConfig, PositiveFloat, PositiveInt
+from slam.config import DepthScale, InputConfig, PositiveFloat, PositiveInt
 from slam.types import Camera, FloatArray, SlamError
 
 CAMERA_FILE = "camera.toml"
@@ -45,7 +46,7 @@ class _CameraTable(BaseModel):
     cx: FiniteFloat
     cy: FiniteFloat
     distortion: Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=5)] = (0.0,) * 5
-    depth_scale: PositiveFloat
+    depth_scale: DepthScale
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     depth_noise_m: PositiveFloat = Camera.depth_noise_m
 
@@ -113,6 +114,10 @@ def camera_of(values: Mapping[str, object], path: Path) -> Camera:
             f"camera keys cx, cy = {table.cx:g}, {table.cy:g} lie outside the image of"
             f" {table.width}x{table.height} pixels; they are the optical axis in pixels: {path}"
         )
+    try:
+        check_size(table.width, table.height)
+    except ValueError as error:
+        raise SlamError(f"camera keys width, height: {error}: {path}") from error
     return Camera(**{**table.model_dump(), "distortion": (*table.distortion, 0.0)[:5]})
 
 
@@ -191,6 +196,8 @@ def _of_realsense(values: dict[str, Any], file: Path) -> dict[str, object]:
     names = {"fx": "fx", "fy": "fy", "ppx": "cx", "ppy": "cy"}
     pinhole = {ours: values[theirs] for theirs, ours in names.items() if theirs in values}
     coefficients, model = values.get("coeffs", [0.0] * 5), str(values.get("model", ""))
+    if not isinstance(coefficients, list):
+        raise SlamError(f"coeffs = {coefficients!r} is no list of numbers: {file}")
     if not any(coefficients):
         return pinhole
     # Inverse or not, librealsense projects with OpenCV's formula (rs2_project_point_to_pixel).

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from placerec.errors import printable
 from placerec.files import write_atomically
 from slam.config import Config, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
@@ -74,7 +75,7 @@ def write_run(
         for name in ("groundtruth.txt", "map.ply", "map_odom.txt", f"{_CORRECTED}.*"):
             for file in folder.glob(name):  # this run may not make them
                 file.unlink()
-    settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
+    settings = f"# {printable(command)} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     of_keyframe = np.isin(result.trajectory.timestamps_s, keyframe_s)
     loops = [
