@@ -7,6 +7,7 @@ import json
 import os
 import stat
 import tomllib
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,11 @@ MOST_SETTINGS_BYTES = 16 << 20
 """Of a file of names and values: settings, cameras, certificates."""
 MOST_WEIGHTS_BYTES = 1 << 30
 """Of a file of weights; VGG-16 with all its layers has half as much."""
+
+_MOST_TIMES, _FREE_BYTES = 10, 64 << 20
+"""An archive may unpack to so many times its size, or to so many bytes."""
+
+_CHUNK_BYTES = 1 << 20
 
 # UTF-32 first, whose mark in little endian begins with that of UTF-16.
 _MARKS = (
@@ -138,7 +144,10 @@ def read_bytes(
     what = what or file.name
     try:
         with file.open("rb") as stream:
-            content = stream.read(most_bytes + 1)  # some that the system makes have no size
+            content = stream.read(os.fstat(stream.fileno()).st_size)
+            # What the system makes up as it is read says that it has no size.
+            while len(content) <= most_bytes and (more := stream.read(_CHUNK_BYTES)):
+                content += more
     except OSError as error:
         raise kind(f"cannot read {what}: {error.strerror}: {file}") from error
     if len(content) > most_bytes:
@@ -233,3 +242,36 @@ def array_of(content: bytes) -> NDArray[Any]:
         return numbers.reshape(shape, order="F" if is_fortran else "C").copy()
     except Exception as error:  # the header is Python, and may say anything
         raise ValueError("no array, or cut off") from error
+
+
+def arrays_of(content: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays of numbers that the content of a .npz file holds, by name.
+
+    Raises:
+        ValueError: it is none, or unpacks to far more than itself.
+    """
+    check_zip(content)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return {
+                entry.filename.removesuffix(".npy"): array_of(archive.read(entry))
+                for entry in archive.infolist()
+            }
+    except Exception as error:  # zipfile has many, for what it does not know, too
+        raise ValueError("not an archive of arrays") from error
+
+
+def check_zip(content: bytes) -> None:
+    """Refuse a ZIP archive that unpacks to far more than weights do, which hardly compress.
+
+    What is no such archive passes.
+
+    Raises:
+        ValueError: it does, or its table is damaged.
+    """
+    if not content.startswith(b"PK"):
+        return
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+    if unpacked > max(_MOST_TIMES * len(content), _FREE_BYTES):
+        raise ValueError("it unpacks to far more than its own size")

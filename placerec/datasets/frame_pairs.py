@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import images_in
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.datasets.tables import read_csv
 from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
@@ -22,6 +22,7 @@ def read_frame_pairs(folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES) ->
     counted from 0); without that file, frames match whose numbers differ by the tolerance or less.
     """
     queries, references = (_images(folder / drive) for drive in ("query", "ref"))
+    check_images((*queries, *references), folder.resolve().name)
     table = folder / "ground_truth.csv"
     if table.is_file():
         same_place = _read_matches(table, len(queries), len(references))
@@ -38,8 +39,9 @@ def read_drives(
     for folder, images in ((query_folder, queries), (reference_folder, references)):
         if not images:
             raise RecognizerError(f"there is no image in the folder: {folder}")
-    same_place = _within(tolerance_frames, len(queries), len(references))
     name = f"{query_folder.resolve().name}+{reference_folder.resolve().name}"
+    check_images((*queries, *references), name)
+    same_place = _within(tolerance_frames, len(queries), len(references))
     return _pair(name, queries, references, same_place)
 
 

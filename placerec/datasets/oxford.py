@@ -8,8 +8,9 @@ import scipy.io
 from numpy.typing import NDArray
 
 from placerec.datasets.images import images_in
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.errors import RecognizerError
+from placerec.files import MOST_WEIGHTS_BYTES, check_file
 
 _GROUND_TRUTH = "*GroundTruth.mat"
 _VARIABLE = "truth"
@@ -35,6 +36,7 @@ def read_oxford(folder: Path) -> PlaceDataset:
         missing = "folder Images" if file else f"file {_GROUND_TRUTH}"
         raise RecognizerError(f"there is no {missing}: {folder}")
     paths = images_in(images)
+    check_images(paths, folder.resolve().name)
     truth = _read_matrix(file)
     if truth.shape != (len(paths), len(paths)):
         raise RecognizerError(
@@ -54,10 +56,9 @@ def read_oxford(folder: Path) -> PlaceDataset:
 
 
 def _read_matrix(file: Path) -> NDArray[np.bool_]:
+    check_file(file, MOST_WEIGHTS_BYTES, kind=RecognizerError)
     try:
         variables = scipy.io.loadmat(file, variable_names=[_VARIABLE])
-    except OSError as error:
-        raise RecognizerError(f"cannot read {file.name}: {error.strerror}: {file}") from error
     except Exception as error:  # a broken file raises whatever its bytes happen to lead to
         raise RecognizerError(
             f"{file.name} is no MATLAB file of version 7 or older ({type(error).__name__}); "
