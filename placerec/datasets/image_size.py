@@ -13,6 +13,7 @@ MOST_PIXELS = 1 << 26
 _MOST_SCANS = 200
 """Of a JPEG; each goes over all pixels. Encoders make a dozen."""
 
+_PNG = b"\x89PNG\r\n\x1a\n"
 _UNREADABLE = "not a readable image"
 _NUMBER_IN_PNM = re.compile(rb"(?:\s|#[^\n]*\n)*(\d{1,9})")
 _STARTS_OF_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -49,8 +50,20 @@ def check_size(width: int, height: int) -> None:
 
 
 def _png(content: bytes) -> tuple[int, int]:
-    width, height = struct.unpack_from(">II", content, 16)
-    return width, height
+    sizes = []
+    at = len(_PNG)
+    while at < len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        if at + length > len(content):  # the decoder would make room for all of it
+            raise ValueError
+        if kind == b"IHDR":
+            sizes.append(struct.unpack_from(">II", content, at + 8))
+        elif kind == b"fcTL":  # of an animation
+            sizes.append(struct.unpack_from(">II", content, at + 12))
+        elif kind == b"IEND":
+            break
+        at += length + 12
+    return max(width for width, _ in sizes), max(height for _, height in sizes)
 
 
 def _jpeg(content: bytes) -> tuple[int, int]:
@@ -118,7 +131,7 @@ def _webp(content: bytes) -> tuple[int, int]:
 
 
 _READERS: dict[bytes, Callable[[bytes], tuple[int, int]]] = {
-    b"\x89PNG\r\n\x1a\n": _png,
+    _PNG: _png,
     b"\xff\xd8\xff": _jpeg,
     b"BM": _bmp,
     b"RIFF": _webp,

@@ -4,13 +4,13 @@
 from pathlib import Path
 
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
 
 from placerec.datasets.images import images_in
+from placerec.datasets.mat_file import read_mat
 from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.errors import RecognizerError
-from placerec.files import MOST_WEIGHTS_BYTES, check_file
+from placerec.files import read_bytes
 
 _GROUND_TRUTH = "*GroundTruth.mat"
 _VARIABLE = "truth"
@@ -56,15 +56,13 @@ def read_oxford(folder: Path) -> PlaceDataset:
 
 
 def _read_matrix(file: Path) -> NDArray[np.bool_]:
-    check_file(file, MOST_WEIGHTS_BYTES, kind=RecognizerError)
+    content = read_bytes(file, kind=RecognizerError)
     try:
-        variables = scipy.io.loadmat(file, variable_names=[_VARIABLE])
-    except Exception as error:  # a broken file raises whatever its bytes happen to lead to
+        matrix = read_mat(content, _VARIABLE)
+    except ValueError as error:
         raise RecognizerError(
-            f"{file.name} is no MATLAB file of version 7 or older ({type(error).__name__}); "
-            f"save it with -v7: {file}"
+            f"{file.name} is no MATLAB file of version 5 to 7 ({error}); save it with -v7: {file}"
         ) from error
-    matrix = variables.get(_VARIABLE)
-    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or matrix.dtype.kind not in "biuf":
+    if matrix is None or matrix.ndim != 2:
         raise RecognizerError(f"{file.name} has no matrix {_VARIABLE!r}: {file}")
     return np.asarray(matrix != 0)

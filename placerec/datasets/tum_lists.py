@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists as the TUM RGB-D benchmark has them: an image or a camera pose a line, its time first."""
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 POSE_COLUMNS = "timestamp tx ty tz qx qy qz qw"
 _SEPARATOR = re.compile(r"[\s,]+")
-_MIN_QUATERNION_NORM = 1e-6
+_MIN_QUATERNION_NORM, _MAX_QUATERNION_NORM = 1e-6, 1e6
 
 
 def read_images(file: Path) -> tuple[FloatArray, list[Path]]:
@@ -50,8 +51,12 @@ def read_poses(file: Path) -> Iterator[tuple[int, list[float]]]:
             raise LoopcloseError(
                 f'line {number} is not "{POSE_COLUMNS}" in finite numbers: {line!r}: {file}'
             )
-        if np.linalg.norm(pose[4:]) < _MIN_QUATERNION_NORM:
-            raise LoopcloseError(f"line {number} has a quaternion of length zero: {line!r}: {file}")
+        length = math.hypot(*pose[4:])
+        if not _MIN_QUATERNION_NORM <= length <= _MAX_QUATERNION_NORM:
+            size = "zero" if length < 1.0 else f"{length:.3g}, not 1"
+            raise LoopcloseError(
+                f"line {number} has a quaternion of length {size}: {line!r}: {file}"
+            )
         yield number, pose
 
 

@@ -18,7 +18,7 @@ from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
 
-from placerec.files import Progress, cache_folder
+from placerec.files import Progress, cache_folder, check_file
 from slam.types import SlamError
 
 _SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
@@ -238,6 +238,7 @@ def _unpack(archive: Path, folder: Path) -> None:
         SlamError: the archive is corrupted, holds a path or link that could leave the folder or
             no sequence, or the disk is full; a corrupted or refused archive is removed.
     """
+    check_file(archive, _MOST_BYTES, kind=SlamError)
     try:
         with tempfile.TemporaryDirectory(
             dir=folder.parent, prefix=f".{folder.name}-"

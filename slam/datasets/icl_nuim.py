@@ -136,7 +136,8 @@ def _read_distances(file: Path, camera: Camera) -> NDArray[np.float32] | BrokenI
     if isinstance(content, BrokenImage):
         return content
     try:
-        values = np.array(content.split(), dtype=np.float32)
+        with np.errstate(over="ignore"):  # infinite is as good as unknown
+            values = np.array(content.split(), dtype=np.float32)
     except ValueError:
         return BrokenImage(file, "not a list of numbers")
     if len(values) != camera.width * camera.height:

@@ -110,7 +110,7 @@ def open_realsense(path: Path, config: InputConfig) -> Sequence:
     warnings: list[str] = []
     pairs = numbered_pairs(_color_folder(path), path / "depth", warnings)
     names = ("timestamps.csv", "timestamps.txt")
-    file = next(path / name for name in names if (path / name).is_file())
+    file = next(path / name for name in names if (path / name).exists())
     stamps_s = _read_times(file, [pair.number for pair in pairs], warnings)
     timed = [pair for pair in pairs if pair.number in stamps_s]
     if not timed:

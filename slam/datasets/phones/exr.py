@@ -46,7 +46,7 @@ def read_exr(path: Path) -> NDArray[np.float32] | BrokenImage:
         return BrokenImage(path, "not an OpenEXR image")
     try:
         return _decoded(content, path)
-    except (struct.error, ValueError, LookupError, zlib.error):
+    except (struct.error, ValueError, LookupError, OverflowError, zlib.error):
         return BrokenImage(path, "the file is cut off or damaged")
 
 

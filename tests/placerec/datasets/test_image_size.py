@@ -96,3 +96,11 @@ def test_images_of_other_kinds_are_not_guessed_at(tmp_path):
     content = cv2.imencode(".jp2", np.zeros((64, 64, 3), np.uint8))[1].tobytes()
     found = decode_content(content, tmp_path, cv2.IMREAD_COLOR)
     assert found == BrokenImage(tmp_path, "not a readable image")
+
+
+def test_a_png_whose_chunk_is_longer_than_the_file_is_not_decoded(tmp_path, monkeypatch):
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+    content = encoded(".png")
+    at = content.index(b"IDAT")
+    content = content[: at - 4] + b"\x7f\xff\xff\xff" + content[at:]
+    assert decode_content(content, tmp_path, cv2.IMREAD_COLOR).why == "not a readable image"
