@@ -25,10 +25,9 @@ def mutated(good: bytes, is_text: bool, seed: int) -> bytes:
     chance = random.Random(seed)
     content = good
     for _ in range(chance.choice((1, 1, 2, 3, 6))):
-        content = chance.choice(_TEXT if is_text and chance.random() < 0.8 else _BYTES)(
-            content, chance
-        )
-    return content[:_MOST_BYTES]
+        kinds = _TEXT if is_text and chance.random() < 0.8 else _BYTES
+        content = chance.choice(kinds)(content, chance)[:_MOST_BYTES]
+    return content
 
 
 def _change_bits(content: bytes, chance: random.Random) -> bytes:

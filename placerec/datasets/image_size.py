@@ -33,7 +33,7 @@ def image_size(content: bytes) -> tuple[int, int]:
         raise ValueError(_UNREADABLE)
     try:
         return reader(content)
-    except (struct.error, LookupError, ValueError) as error:
+    except (struct.error, LookupError, OverflowError, ValueError) as error:
         raise ValueError(_UNREADABLE) from error
 
 

@@ -89,6 +89,8 @@ def _read_header(content: bytes) -> tuple[dict[str, bytes], int]:
         name_end = content.index(b"\0", at)
         type_end = content.index(b"\0", name_end + 1)
         (size,) = struct.unpack_from("<i", content, type_end + 1)
+        if size < 0:  # the search would go round for ever
+            raise ValueError("no such size")
         value = type_end + 5
         header[content[at:name_end].decode()] = content[value : value + size]
         at = value + size

@@ -104,3 +104,9 @@ def test_a_png_whose_chunk_is_longer_than_the_file_is_not_decoded(tmp_path, monk
     at = content.index(b"IDAT")
     content = content[: at - 4] + b"\x7f\xff\xff\xff" + content[at:]
     assert decode_content(content, tmp_path, cv2.IMREAD_COLOR).why == "not a readable image"
+
+
+def test_a_big_tiff_whose_table_is_nowhere_is_not_readable():
+    content = b"II+\0" + struct.pack("<HHQ", 8, 0, 2**64 - 1) + bytes(40)
+    with pytest.raises(ValueError, match="not a readable image"):
+        image_size(content)
