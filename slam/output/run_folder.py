@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from placerec.errors import printable
-from placerec.files import write_atomically
+from placerec.files import is_file, write_atomically
 from slam.config import Config, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
@@ -30,7 +30,7 @@ def make_run_folder(folder: Path) -> None:
     Raises:
         SlamError: it cannot be created or written to, or it holds a recording.
     """
-    if (folder / "rgb.txt").exists():
+    if is_file(folder / "rgb.txt"):
         raise SlamError(
             f"the outputs would replace files of the recording in this folder; choose another with"
             f" --out: {folder}"

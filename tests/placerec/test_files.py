@@ -11,6 +11,7 @@ from placerec.errors import LoopcloseError
 from placerec.files import (
     cache_folder,
     is_file,
+    is_folder,
     read_bytes,
     read_json,
     read_text,
@@ -145,6 +146,7 @@ def test_what_is_no_plain_file_is_refused_before_it_is_opened(tmp_path):
 @pytest.mark.parametrize("name", ["gone", "x" * 300, "a\0b", "\ud800"])
 def test_a_name_that_no_file_has_is_one_line(tmp_path, name):
     assert not is_file(tmp_path / name)
+    assert not is_folder(tmp_path / name)
     with pytest.raises(LoopcloseError, match="cannot read "):
         read_bytes(tmp_path / name)
 

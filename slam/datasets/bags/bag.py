@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from placerec.errors import LoopcloseError
-from placerec.files import check_file
+from placerec.files import check_file, is_file
 from slam.types import SlamError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -18,7 +18,7 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 
 def is_bag(path: Path) -> bool:
     """Whether a path is that of a bag, by its name or by what its folder holds."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix in SUFFIXES or is_file(path / "metadata.yaml")
 
 
 _MOST_BYTES = 1 << 44  # what is asked is whether they are plain files: bags may be of any size
