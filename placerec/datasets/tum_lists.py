@@ -13,10 +13,11 @@ from placerec.errors import LoopcloseError
 from placerec.files import read_text
 
 FloatArray = NDArray[np.float64]
+_MAX_QUATERNION_NORM = 1e6
 
 POSE_COLUMNS = "timestamp tx ty tz qx qy qz qw"
 _SEPARATOR = re.compile(r"[\s,]+")
-_MIN_QUATERNION_NORM, _MAX_QUATERNION_NORM = 1e-6, 1e6
+_MIN_QUATERNION_NORM = 1e-6
 
 
 def read_images(file: Path) -> tuple[FloatArray, list[Path]]:

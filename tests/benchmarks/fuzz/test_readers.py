@@ -13,7 +13,7 @@ from benchmarks.fuzz.readers import READERS
 from placerec.errors import LoopcloseError
 
 EXAMPLES = settings(
-    max_examples=25,
+    max_examples=12,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
