@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from placerec.errors import RecognizerError
-from placerec.files import write_atomically
+from placerec.files import MOST_SETTINGS_BYTES, read_text, write_atomically
 from placerec.recognizer import PlaceRecognizer
 
 TAIL = 0.01
@@ -200,10 +200,9 @@ def read_certificate(path: Path) -> Certificate:
     Raises:
         RecognizerError: the file cannot be read or is no certificate.
     """
+    text = read_text(path, MOST_SETTINGS_BYTES, what="the certificate", kind=RecognizerError)
     try:
-        return Certificate.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise RecognizerError(f"cannot read the certificate: {error.strerror}: {path}") from error
+        return Certificate.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

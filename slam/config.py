@@ -5,9 +5,8 @@ The TOML file, the command-line flags and the settings shown in the report all c
 """
 
 import json
-import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -19,15 +18,28 @@ from pydantic import (
     field_validator,
 )
 
+from placerec.files import read_toml
 from slam.types import SlamError
 
 PYRAMID_SCALE = 1.2
 """Ratio between neighbouring pyramid levels; a feature's pixel noise grows with it."""
 
 PositiveFloat = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-PositiveInt = Annotated[int, Field(gt=0)]
+PositiveInt = Annotated[int, Field(gt=0, le=1_000_000)]
+DepthScale = Annotated[float, Field(ge=1e-6, le=1e9)]
+"""Depth image units per metre."""
 _Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+_Name = TypeVar("_Name", Path, str)
 _SevenNumbers = tuple[float, float, float, float, float, float, float]
+
+
+def _in_unicode(value: _Name) -> _Name:
+    """Refuse what no settings file could hold, such as a file's name in another encoding."""
+    try:
+        str(value).encode()
+    except UnicodeEncodeError as error:
+        raise ValueError("the name is not in UTF-8; rename it") from error
+    return value
 
 
 class _Section(BaseModel):
@@ -36,29 +48,35 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
+_File = Annotated[Path, AfterValidator(_in_unicode), AfterValidator(Path.absolute)]
+_Topic = Annotated[str, AfterValidator(_in_unicode)]
+
+
 class InputConfig(_Section):
     """How a sequence is read."""
 
-    camera: Annotated[Path, AfterValidator(Path.absolute)] | None = None
+    camera: Annotated[Path, AfterValidator(_in_unicode), AfterValidator(Path.absolute)] | None = (
+        None
+    )
     """TOML file of the camera; default: camera.toml of the folder, else what its format tells."""
-    depth_scale: PositiveFloat | None = None
+    depth_scale: DepthScale | None = None
     """Depth image units per metre; overrides the camera's."""
     max_time_difference_s: PositiveFloat = 0.02
     """Colour and depth images of a TUM folder or a bag further apart than this are not paired."""
-    color_topic: str | None = None
+    color_topic: _Topic | None = None
     """Topic of a bag's colour images; default: the only one that holds some."""
-    depth_topic: str | None = None
+    depth_topic: _Topic | None = None
     """Topic of a bag's depth images; default: the only one, or the one registered to colour."""
-    camera_info_topic: str | None = None
+    camera_info_topic: _Topic | None = None
     """Topic of the colour camera's calibration in a bag; default: the one beside the images."""
-    odometry_topic: str | None = None
+    odometry_topic: _Topic | None = None
     """Topic of a bag's poses by another odometry; default: the only one that holds some."""
 
 
 class FeaturesConfig(_Section):
     """ORB extraction and matching."""
 
-    count: PositiveInt = 1000
+    count: Annotated[int, Field(gt=0, le=100_000)] = 1000
     """Features wanted per image."""
     levels: Annotated[int, Field(ge=1, le=16)] = 8
     """Pyramid levels, each 1.2 times smaller than the one before."""
@@ -84,7 +102,7 @@ class VerificationConfig(_Section):
     """Largest Hamming distance of two matching descriptors."""
     max_reprojection_px: PositiveFloat = 3.0
     """Largest error of an inlier on the finest pyramid level; more on coarser ones."""
-    ransac_iterations: PositiveInt = 300
+    ransac_iterations: Annotated[int, Field(gt=0, le=100_000)] = 300
     """Trials of PnP RANSAC."""
 
 
@@ -100,7 +118,7 @@ class OdometryConfig(_Section):
     """A camera turned this much against its keyframe starts a new one."""
     keyframe_inlier_share: _Fraction = 0.35
     """A new keyframe starts when fewer than this share of the keyframe's features is tracked."""
-    links: Annotated[int, Field(ge=0)] = 4
+    links: Annotated[int, Field(ge=0, le=1000)] = 4
     """Keyframes that a new one is tied to by what both see, besides the one that shares most and
     the one that the camera came from."""
     T_base_cam: Literal["auto"] | _SevenNumbers | None = None
@@ -130,7 +148,7 @@ class LoopConfig(_Section):
 
     min_gap: PositiveInt = 5
     """Keyframes of one segment that fewer than so many were taken after are not candidates."""
-    candidates: PositiveInt = 4
+    candidates: Annotated[int, Field(gt=0, le=1000)] = 4
     """Most similar keyframes verified by geometry, per new keyframe."""
     min_similarity: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
     """Cosine from which a candidate is verified; default: the recognizer's own threshold."""
@@ -195,12 +213,9 @@ def load_config(path: Path) -> Config:
     Raises:
         SlamError: the file is missing, is not TOML, or holds a value that is not allowed.
     """
+    values = read_toml(path, what="the settings file", kind=SlamError)
     try:
-        return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise SlamError(f"cannot read the settings file: {error.strerror}: {path}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SlamError(f"the settings file is not valid TOML: {error}: {path}") from error
+        return Config.model_validate(values)
     except ValidationError as error:
         raise SlamError(f"{_describe(error)}: {path}") from error
 
@@ -218,6 +233,11 @@ def to_toml(config: Config) -> str:
     """Return the settings as TOML that `load_config` reads back; unset ones are left out."""
     lines: list[str] = []
     for section, values in config.model_dump(mode="json", exclude_none=True).items():
-        settings = [f"{name} = {json.dumps(value)}" for name, value in values.items()]
+        settings = [f"{name} = {_toml(value)}" for name, value in values.items()]
         lines += [f"[{section}]", *settings, ""]
     return "\n".join(lines)
+
+
+def _toml(value: object) -> str:
+    """Return a value as TOML: as JSON, but for characters of which JSON makes two escapes."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -6,7 +6,6 @@ The packages themselves only log, to loggers below `slam` and `placerec`, and ne
 
 import logging
 import os
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -14,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from placerec.errors import RecognizerError
+from placerec.errors import RecognizerError, printable
 
 _QUIET, _VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
 _OURS = ("slam", "placerec")
@@ -113,11 +112,7 @@ class _Lines(logging.Handler):
 
 def one_line(text: str) -> str:
     """Return a text without line breaks, and with what a terminal would obey written as escapes."""
-    return re.sub(
-        r"[^\x20-\x7e\xa0-\ud7ff\ue000-\U0010ffff]",
-        lambda found: found[0].encode("unicode_escape", "surrogatepass").decode(),
-        " ".join(text.split()),
-    )
+    return printable(" ".join(text.split()))
 
 
 class ProgressBar:

@@ -17,7 +17,7 @@ from placerec.datasets.images import images_in
 from placerec.datasets.names import find_data
 from placerec.datasets.place_dataset import keep_readable
 from placerec.errors import RecognizerError
-from placerec.files import Progress
+from placerec.files import Progress, is_folder
 from placerec.recognizer import WEIGHTS_SUFFIX, cause_of, find, imported
 from placerec.recognizers.fitted_file import Fitted, write_fitted
 
@@ -90,7 +90,7 @@ def _refuse(recognizer: str, data: Sequence[str], out: Path, seed: int) -> None:
 def _open_images(source: str) -> PlaceDataset:
     """Open a dataset to learn from without its truth, or just a folder of images."""
     folder = find_data(source) or Path(source)
-    paths = tuple(images_in(folder)) if folder.is_dir() else ()
+    paths = tuple(images_in(folder)) if is_folder(folder) else ()
     if not paths:
         return open_data(source, "train")
     # No query and no reference: nothing is compared.

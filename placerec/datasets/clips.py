@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.datasets.tables import read_csv
+from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
 
 TEST_FLOORS = frozenset({"basement3", "floor6", "floor11", "floor16", "floor21"})
@@ -47,6 +48,8 @@ def read_clips(folder: Path, part: str = "test") -> PlaceDataset:
     frames = sorted(frame for frame in _read_frames(folder) if _part(frame.floor) == part)
     if not frames:
         raise RecognizerError(f"no image is of a floor for {part}: {folder}")
+    name = f"{folder.resolve().name}:{part}"
+    check_images([frame.path for frame in frames], name)
     floors = np.array([frame.floor for frame in frames])
     clips = np.array([frame.clip for frame in frames])
     numbers = np.array([frame.number for frame in frames])
@@ -54,7 +57,7 @@ def read_clips(folder: Path, part: str = "test") -> PlaceDataset:
     same_place = (clips[:, None] == clips) & (apart < _PLACE_FRAMES) & (apart > 0)
     everyone = np.arange(len(frames))
     dataset = PlaceDataset(
-        name=f"{folder.resolve().name}:{part}",
+        name=name,
         paths=tuple(frame.path for frame in frames),
         queries=everyone,
         references=everyone,
@@ -76,12 +79,13 @@ def _read_frames(folder: Path) -> list[Frame]:
     frames = []
     for line, (path, floor) in read_csv(table, ("image_path", "floor")):
         match = _FRAME.fullmatch(Path(path).name)
-        if match is None:
+        number = as_whole_number(match["number"]) if match else None
+        if match is None or number is None:
             raise RecognizerError(
                 f"line {line} names {Path(path).name!r}, not like clip_frame_000001.jpg: {table}"
             )
         clip = f"{floor}/{match['clip']}"
-        frames.append(Frame(floor, clip, int(match["number"]), folder / path))
+        frames.append(Frame(floor, clip, number, folder / path))
     return frames
 
 

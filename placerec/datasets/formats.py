@@ -15,6 +15,7 @@ from placerec.datasets.names import benchmark_name, did_you_mean, find_data
 from placerec.datasets.oxford import find_ground_truth, read_oxford
 from placerec.datasets.place_dataset import PlaceDataset
 from placerec.datasets.tum import read_tum, read_tum_sessions
+from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
 
 
@@ -104,9 +105,10 @@ def _read_sessions(queries: Path, references: Path, tolerance: str | None) -> Pl
         )
     if tolerance is None:
         return read_drives(queries, references)
-    if not tolerance.isdecimal():
+    frames = as_whole_number(tolerance)
+    if frames is None:
         raise RecognizerError(f"the tolerance is a number of frames from 0, not {tolerance!r}")
-    return read_drives(queries, references, int(tolerance))
+    return read_drives(queries, references, frames)
 
 
 def _absent(source: str) -> RecognizerError:

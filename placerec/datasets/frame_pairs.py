@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import images_in
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.datasets.tables import read_csv
+from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
 
 _TOLERANCE_FRAMES = 2
@@ -21,6 +22,7 @@ def read_frame_pairs(folder: Path, tolerance_frames: int = _TOLERANCE_FRAMES) ->
     counted from 0); without that file, frames match whose numbers differ by the tolerance or less.
     """
     queries, references = (_images(folder / drive) for drive in ("query", "ref"))
+    check_images((*queries, *references), folder.resolve().name)
     table = folder / "ground_truth.csv"
     if table.is_file():
         same_place = _read_matches(table, len(queries), len(references))
@@ -37,8 +39,9 @@ def read_drives(
     for folder, images in ((query_folder, queries), (reference_folder, references)):
         if not images:
             raise RecognizerError(f"there is no image in the folder: {folder}")
-    same_place = _within(tolerance_frames, len(queries), len(references))
     name = f"{query_folder.resolve().name}+{reference_folder.resolve().name}"
+    check_images((*queries, *references), name)
+    same_place = _within(tolerance_frames, len(queries), len(references))
     return _pair(name, queries, references, same_place)
 
 
@@ -70,10 +73,11 @@ def _images(folder: Path) -> list[Path]:
 def _read_matches(table: Path, queries: int, references: int) -> NDArray[np.bool_]:
     same_place = np.zeros((queries, references), dtype=np.bool_)
     for line, (query, matches) in read_csv(table, ("query", "refs")):
-        numbers = [query, *filter(None, matches.split(";"))]
-        if not all(number.strip().isdecimal() for number in numbers):
+        numbers = [as_whole_number(each) for each in (query, *filter(None, matches.split(";")))]
+        known = [number for number in numbers if number is not None]
+        if len(known) < len(numbers):
             raise RecognizerError(f'line {line} is not "query,ref;ref;...": {table}')
-        row, *columns = map(int, numbers)
+        row, *columns = known
         if row >= queries or max(columns, default=0) >= references:
             raise RecognizerError(
                 f"line {line} names an image that is not there: query/ has {queries} and ref/ "

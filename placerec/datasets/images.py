@@ -9,6 +9,10 @@ import numpy as np
 from cv2.typing import MatLike
 from numpy.typing import NDArray
 
+from placerec.datasets.image_size import check_size, image_size
+from placerec.errors import LoopcloseError
+from placerec.files import read_bytes
+
 _IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".tif", ".tiff", ".webp"})
 _TAIL_BYTES = 64
 _ENDINGS = ((b"\x89PNG\r\n\x1a\n", b"IEND"), (b"\xff\xd8\xff", b"\xff\xd9"))
@@ -26,7 +30,7 @@ def read_image(path: Path) -> NDArray[np.uint8] | BrokenImage:
     image = decode(path, cv2.IMREAD_COLOR)
     if isinstance(image, BrokenImage):
         return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image), dtype=np.uint8)
 
 
 def find_fault(path: Path) -> BrokenImage | None:
@@ -45,17 +49,27 @@ def images_in(folder: Path) -> list[Path]:
 
 def decode(path: Path, flags: int) -> MatLike | BrokenImage:
     """Return an image as `cv2.imdecode` makes it with these flags."""
+    content = content_of(path)
+    return content if isinstance(content, BrokenImage) else decode_content(content, path, flags)
+
+
+def content_of(path: Path) -> bytes | BrokenImage:
+    """Return what an image file, or one of depth in another form, holds."""
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        return BrokenImage(path, error.strerror or "cannot be read")
-    return decode_content(content, path, flags)
+        return read_bytes(path)
+    except LoopcloseError as error:
+        why = str(error).removeprefix(f"cannot read {path.name}: ").removesuffix(f": {path}")
+        return BrokenImage(path, why)
 
 
 def decode_content(content: bytes, path: Path, flags: int) -> MatLike | BrokenImage:
     """Return the image that an image file, named `path`, with this content would hold."""
     if _is_cut_off(content):
         return BrokenImage(path, "the file is cut off")
+    try:
+        check_size(*image_size(content))
+    except ValueError as error:
+        return BrokenImage(path, str(error))
     try:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:

@@ -41,13 +41,18 @@ def _candidates(name: str) -> Iterator[Path]:
     yield Path(name)
     data = os.environ.get("LOOPCLOSE_DATA")
     short_name = benchmark_name(name)
+    if short_name and data:
+        yield from _sequences(Path(data), short_name)
     if short_name:
-        for root in (*([Path(data)] if data else []), cache_folder()):
-            for folder in (root / benchmark_folder(short_name), root / short_name):
-                if (folder / "rgb.txt").is_file():
-                    yield folder
+        yield from _sequences(cache_folder(), short_name)
     if data and name:
         yield Path(data) / name
+
+
+def _sequences(root: Path, short_name: str) -> Iterator[Path]:
+    for folder in (root / benchmark_folder(short_name), root / short_name):
+        if (folder / "rgb.txt").is_file():
+            yield folder
 
 
 def benchmark_name(name: str) -> str | None:

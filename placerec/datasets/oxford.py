@@ -4,12 +4,13 @@
 from pathlib import Path
 
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
 
 from placerec.datasets.images import images_in
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.mat_file import read_mat
+from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.errors import RecognizerError
+from placerec.files import read_bytes
 
 _GROUND_TRUTH = "*GroundTruth.mat"
 _VARIABLE = "truth"
@@ -35,6 +36,7 @@ def read_oxford(folder: Path) -> PlaceDataset:
         missing = "folder Images" if file else f"file {_GROUND_TRUTH}"
         raise RecognizerError(f"there is no {missing}: {folder}")
     paths = images_in(images)
+    check_images(paths, folder.resolve().name)
     truth = _read_matrix(file)
     if truth.shape != (len(paths), len(paths)):
         raise RecognizerError(
@@ -54,16 +56,13 @@ def read_oxford(folder: Path) -> PlaceDataset:
 
 
 def _read_matrix(file: Path) -> NDArray[np.bool_]:
+    content = read_bytes(file, kind=RecognizerError)
     try:
-        variables = scipy.io.loadmat(file, variable_names=[_VARIABLE])
-    except OSError as error:
-        raise RecognizerError(f"cannot read {file.name}: {error.strerror}: {file}") from error
-    except Exception as error:  # a broken file raises whatever its bytes happen to lead to
+        matrix = read_mat(content, _VARIABLE)
+    except ValueError as error:
         raise RecognizerError(
-            f"{file.name} is no MATLAB file of version 7 or older ({type(error).__name__}); "
-            f"save it with -v7: {file}"
+            f"{file.name} is no MATLAB file of version 5 to 7 ({error}); save it with -v7: {file}"
         ) from error
-    matrix = variables.get(_VARIABLE)
-    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or matrix.dtype.kind not in "biuf":
+    if matrix is None or matrix.ndim != 2:
         raise RecognizerError(f"{file.name} has no matrix {_VARIABLE!r}: {file}")
     return np.asarray(matrix != 0)

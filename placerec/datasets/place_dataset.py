@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images, and which pairs of them show the same place."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage, find_fault, read_image
 from placerec.errors import RecognizerError
+from placerec.files import is_file
 
 BoolMatrix = NDArray[np.bool_]
 
@@ -87,6 +88,34 @@ class PlaceDataset:
         )
 
 
+MOST_IMAGES = 20_000
+"""Of a dataset: all pairs of them are looked at, and more would not fit into memory."""
+
+
+def check_images(paths: Sequence[Path], name: str) -> None:
+    """Look whether images are there and not too many, before anything is made of all their pairs.
+
+    Raises:
+        RecognizerError: there are more than `MOST_IMAGES`, or more than half of them are missing.
+    """
+    if len(paths) > MOST_IMAGES:
+        raise RecognizerError(
+            f"{name} has {len(paths)} images, at most {MOST_IMAGES} can be compared with each "
+            "other; give a part of it"
+        )
+    missing = [path for path in paths if not is_file(path)]
+    if 2 * len(missing) > len(paths):
+        fault = BrokenImage(missing[0], "there is no such file")
+        raise RecognizerError(_mostly_broken(len(missing), len(paths), name, fault))
+
+
+def _mostly_broken(broken: int, count: int, name: str, first: BrokenImage) -> str:
+    return (
+        f"{broken} of the {count} images of {name} are missing or broken; was it unpacked "
+        f"completely? the first: {first.why}: {first.path}"
+    )
+
+
 def keep_readable(dataset: PlaceDataset) -> PlaceDataset:
     """Return the dataset without the images that are missing or broken, which it names.
 
@@ -96,10 +125,7 @@ def keep_readable(dataset: PlaceDataset) -> PlaceDataset:
     faults = [find_fault(path) for path in dataset.paths]
     broken = tuple(fault for fault in faults if fault is not None)
     if 2 * len(broken) > len(dataset):
-        raise RecognizerError(
-            f"{len(broken)} of the {len(dataset)} images of {dataset.name} are missing or broken; "
-            f"was it unpacked completely? the first: {broken[0].why}: {broken[0].path}"
-        )
+        raise RecognizerError(_mostly_broken(len(broken), len(dataset), dataset.name, broken[0]))
     if len(dataset) == 0:
         raise RecognizerError(f"{dataset.name} has no image")
     if not broken:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.datasets.tum_lists import FloatArray, nearest, read_images, read_poses
 from placerec.errors import RecognizerError
 
@@ -38,6 +38,7 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
         stride: every how many frames with truth one is used.
     """
     recording = read_recording(folder, stride)
+    check_images(recording.paths, _short_name(folder))
     distance = pose_distance(recording.positions_m, recording.quaternions)
     everyone = np.arange(len(recording.paths))
     apart_s = np.abs(recording.timestamps_s[:, None] - recording.timestamps_s)
@@ -64,12 +65,14 @@ def read_tum_sessions(
     """
     sessions = [read_recording(folder, stride) for folder in (query_folder, reference_folder)]
     timestamps_s, paths, positions_m, quaternions = zip(*sessions, strict=True)
+    name = f"{_short_name(query_folder)}+{_short_name(reference_folder)}"
+    check_images((*paths[0], *paths[1]), name)
     everywhere_m = np.concatenate(positions_m)
     distance = pose_distance(everywhere_m, np.concatenate(quaternions))
     first = len(paths[0])
     same_place = distance[:first, first:] < _MAX_DISTANCE
     dataset = PlaceDataset(
-        name=f"{_short_name(query_folder)}+{_short_name(reference_folder)}",
+        name=name,
         paths=(*paths[0], *paths[1]),
         queries=np.arange(first),
         references=np.arange(first, len(distance)),
@@ -120,7 +123,8 @@ def pose_distance(positions_m: FloatArray, quaternions: FloatArray) -> FloatArra
         positions_m: (N, 3) of the camera.
         quaternions: (N, 4) x y z w, unit length.
     """
-    metres = np.linalg.norm(positions_m[:, None] - positions_m, axis=2)
+    # Row by row: the differences of all pairs at once would take three times the memory.
+    metres = np.array([np.linalg.norm(each - positions_m, axis=1) for each in positions_m])
     half_cosines = np.minimum(np.abs(quaternions @ quaternions.T), 1.0)
     return np.asarray(metres + 2.0 * np.arccos(half_cosines))
 

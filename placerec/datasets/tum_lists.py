@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists as the TUM RGB-D benchmark has them: an image or a camera pose a line, its time first."""
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.tables import read_text
 from placerec.errors import LoopcloseError
+from placerec.files import read_text
 
 FloatArray = NDArray[np.float64]
+_MAX_QUATERNION_NORM = 1e6
 
 POSE_COLUMNS = "timestamp tx ty tz qx qy qz qw"
 _SEPARATOR = re.compile(r"[\s,]+")
@@ -50,8 +52,12 @@ def read_poses(file: Path) -> Iterator[tuple[int, list[float]]]:
             raise LoopcloseError(
                 f'line {number} is not "{POSE_COLUMNS}" in finite numbers: {line!r}: {file}'
             )
-        if np.linalg.norm(pose[4:]) < _MIN_QUATERNION_NORM:
-            raise LoopcloseError(f"line {number} has a quaternion of length zero: {line!r}: {file}")
+        length = math.hypot(*pose[4:])
+        if not _MIN_QUATERNION_NORM <= length <= _MAX_QUATERNION_NORM:
+            size = "zero" if length < 1.0 else f"{length:.3g}, not 1"
+            raise LoopcloseError(
+                f"line {number} has a quaternion of length {size}: {line!r}: {file}"
+            )
         yield number, pose
 
 
@@ -74,6 +80,14 @@ def as_numbers(text: str) -> list[float] | None:
     except ValueError:
         return None
     return values if values and np.isfinite(values).all() else None
+
+
+def as_whole_number(text: str) -> int | None:
+    """Return a whole number of 64 bits from 0, or None where a text is none."""
+    digits = text.strip()
+    if not (digits.isascii() and digits.isdecimal()) or len(digits) > 100:
+        return None
+    return number if (number := int(digits)) < 1 << 63 else None
 
 
 def nearest(stamps_s: FloatArray, wanted_s: FloatArray) -> NDArray[np.int64]:

@@ -5,6 +5,7 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 
+from placerec.errors import printable
 from placerec.evaluation.measurement import Failed, Measured, Measurement
 
 EARLIER = "*"
@@ -71,12 +72,21 @@ def evaluation_csv(rows: Sequence[Measurement]) -> str:
     writer.writeheader()
     for row in rows:
         if isinstance(row, Measured):
-            writer.writerow({name: figure(row) for name, figure in _CSV.items()})
+            writer.writerow({name: _cell(figure(row)) for name, figure in _CSV.items()})
             continue
         names: dict[str, object] = {"data": row.dataset.name, "recognizer": row.recognizer}
         names |= {"images": len(row.dataset), "pairs": int(row.dataset.pairs.sum())}
-        writer.writerow(names | {"failure": row.why})
+        names |= {"failure": row.why}
+        writer.writerow({name: _cell(value) for name, value in names.items()})
     return text.getvalue()
+
+
+def _cell(value: object) -> object:
+    """Return what a spreadsheet shows as it is, and does not take for a formula."""
+    if not isinstance(value, str):
+        return value
+    text = printable(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def evaluation_table(rows: Sequence[Measurement]) -> str:

@@ -14,6 +14,11 @@ from placerec.errors import RecognizerError
 from placerec.networks.pooling import Covariance, Vlad, WhitenedLinear
 from placerec.networks.trunk import Trunk
 
+_MOST_VALUES = 100_000
+_MOST_WORDS = 10_000
+_MOST_CELLS_A_SIDE = 256
+_MOST_PX_A_SIDE = 4096
+
 
 class PlaceNetwork(nn.Module):
     """What the paper makes of a classification network (section 2.1).
@@ -56,10 +61,7 @@ class PlaceNetwork(nn.Module):
                 too small, the trunk does not make maps, or these are to be described in two ways.
         """
         super().__init__()
-        if dimension < 1:
-            raise RecognizerError(f"dimension = {dimension}: an embedding needs at least 1 value")
-        if words is not None and (covariance or words < 2):
-            raise RecognizerError(f"words = {words}: 2 or more, and not together with covariance")
+        _check(dimension, grid, words, covariance, size_px)
         self.trunk, self.block, self.grid = trunk, block, grid
         self.covariance, self.words = covariance, words
         self.preprocessing = trunk.preprocessing
@@ -125,3 +127,24 @@ class PlaceNetwork(nn.Module):
             seen = tuple(maps.shape) if isinstance(maps, Tensor) else type(maps).__name__
             raise RecognizerError(f"{where} gives {seen}; it must give (N, C, h, w) maps")
         return maps
+
+
+def _check(
+    dimension: int,
+    grid: tuple[int, int] | None,
+    words: int | None,
+    covariance: bool,
+    size_px: tuple[int, int] | None,
+) -> None:
+    if dimension < 1:
+        raise RecognizerError(f"dimension = {dimension}: an embedding needs at least 1 value")
+    if dimension > _MOST_VALUES:
+        raise RecognizerError(f"dimension = {dimension}: an embedding has {_MOST_VALUES} at most")
+    if words is not None and (covariance or words < 2):
+        raise RecognizerError(f"words = {words}: 2 or more, and not together with covariance")
+    if words is not None and words > _MOST_WORDS:
+        raise RecognizerError(f"words = {words}: {_MOST_WORDS} at most")
+    sides = (("grid", grid, _MOST_CELLS_A_SIDE), ("size", size_px, _MOST_PX_A_SIDE))
+    for name, pair, most in sides:
+        if pair is not None and not 1 <= min(pair) <= max(pair) <= most:
+            raise RecognizerError(f"{name} = {pair}: both from 1 to {most}")

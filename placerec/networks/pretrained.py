@@ -10,15 +10,22 @@ import urllib.request
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import safetensors.torch
 import torch
 from torch import Tensor
 
-from placerec.errors import RecognizerError
-from placerec.files import cache_folder, write_atomically
+from placerec.errors import LoopcloseError, RecognizerError
+from placerec.files import (
+    MOST_WEIGHTS_BYTES,
+    arrays_of,
+    cache_folder,
+    check_zip,
+    read_bytes,
+    write_atomically,
+)
 from placerec.networks.caffemodel import read_caffemodel
 from placerec.networks.place_network import PlaceNetwork
 from placerec.networks.trunk import Trunk
@@ -91,8 +98,11 @@ def find_pretrained(name: str) -> Path | None:
 def weights_folders() -> tuple[Path, ...]:
     """Return where published weights are looked for, the user's own folder last."""
     named = os.environ.get(FOLDER_VARIABLE)
-    own = cache_folder() / "weights"
-    return (Path(named), own) if named else (own,)
+    folders = (Path(named),) if named else ()
+    try:
+        return *folders, cache_folder() / "weights"
+    except LoopcloseError:  # without a home there is no folder of one's own
+        return folders
 
 
 def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | None = None) -> Path:
@@ -115,11 +125,11 @@ def download_pretrained(trunk: Trunk, folder: Path | None = None, url: str | Non
     path = (folder or cache_folder() / "weights") / url.rsplit("/", 1)[1]
     if path.is_file():
         return path
-    request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
     try:
+        request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
         with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as response:
-            content: bytes = response.read()
-    except (OSError, http.client.HTTPException) as error:
+            content: bytes = response.read(MOST_WEIGHTS_BYTES)
+    except (OSError, ValueError, http.client.HTTPException) as error:
         raise RecognizerError(f"the weights cannot be downloaded: {error}: {url}") from error
     digest = hashlib.sha256(content).hexdigest()
     if not digest.startswith(digits[1]):
@@ -138,30 +148,39 @@ def read_weights(path: Path) -> Mapping[str, Tensor]:
     Raises:
         RecognizerError: the file cannot be read, is damaged, or would run code.
     """
-    try:
-        content = io.BytesIO(path.read_bytes())
-    except OSError as error:
-        raise RecognizerError(f"cannot read the weights: {error.strerror}: {path}") from error
+    content = read_bytes(path, MOST_WEIGHTS_BYTES, what="the weights", kind=RecognizerError)
     try:
         if path.suffix == ".npz":
-            with np.load(content, allow_pickle=False) as archive:
-                return {name: torch.from_numpy(archive[name]) for name in archive.files}
+            return {name: torch.from_numpy(array) for name, array in arrays_of(content).items()}
         if path.suffix == ".caffemodel":
-            arrays = read_caffemodel(content.getvalue())
+            arrays = read_caffemodel(content)
             return {name: torch.from_numpy(array) for name, array in arrays.items()}
         if path.suffix == WEIGHTS_SUFFIX:
-            return safetensors.torch.load(content.getvalue())
-        # What torch has to say about the pickle of a file that it refuses, we say below.
-        with torch.serialization.safe_globals(_NUMBERS), warnings.catch_warnings(action="ignore"):
-            loaded = torch.load(content, map_location="cpu", weights_only=True)
+            return safetensors.torch.load(content)
+        with torch.serialization.safe_globals(_NUMBERS):
+            loaded = load_pickle(content)
     except Exception as error:  # torch and numpy raise many kinds for a damaged file
         what = "the weights file is damaged, or a pickle that would run code"
         raise RecognizerError(f"{what}: {path}") from error
     if isinstance(loaded, Mapping) and isinstance(nested := loaded.get("state_dict"), Mapping):
-        loaded = {name.replace("module.", ""): value for name, value in nested.items()}
-    if not isinstance(loaded, Mapping) or not all(isinstance(v, Tensor) for v in loaded.values()):
+        loaded = {str(name).replace("module.", ""): value for name, value in nested.items()}
+    if not isinstance(loaded, Mapping) or not all(
+        isinstance(name, str) and isinstance(value, Tensor) for name, value in loaded.items()
+    ):
         raise RecognizerError(f"the weights file does not hold named tensors: {path}")
     return loaded
+
+
+def load_pickle(content: bytes) -> Any:
+    """Return what torch saved, without running code, and only if it is as large as its file.
+
+    Raises:
+        Exception: of many kinds; it is damaged, would run code, or is a bomb.
+    """
+    check_zip(content)
+    # What torch has to say about the pickle of a file that it refuses, our errors say.
+    with warnings.catch_warnings(action="ignore"):
+        return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
 
 
 def make_folder(folder: Path) -> None:

@@ -2,7 +2,6 @@
 """A trained network as one safetensors file that says how to rebuild it."""
 
 import hashlib
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,10 +9,10 @@ import safetensors.torch
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 from safetensors import SafetensorError, safe_open
-from torch import Tensor
+from torch import Tensor, nn
 
 from placerec.errors import RecognizerError
-from placerec.files import write_atomically
+from placerec.files import MOST_WEIGHTS_BYTES, check_file, write_atomically
 from placerec.networks import TRUNKS, PlaceNetwork, Trunk
 
 _METADATA_KEY = "placerec"
@@ -74,11 +73,17 @@ def load_weights(
             f"{', '.join(known)}: {path}"
         )
     try:
+        # The last layer is made once it is known to be no larger than the file says.
         network = PlaceNetwork(
             known[description.trunk],
-            tensors[_LAST_LAYER].shape[0],
+            1,
             **description.model_dump(exclude={"trunk", "min_similarity"}),
         )
+        dimension, values = tensors[_LAST_LAYER].shape
+        if values != (made := network.fully_connected.in_features):
+            raise RecognizerError(f"{_LAST_LAYER} takes {values} values, not {made}")
+        with torch.random.fork_rng():
+            network.fully_connected = nn.Linear(values, dimension)
         network.load_state_dict(tensors)
     except (RuntimeError, RecognizerError) as error:
         what = " ".join(str(error).split())
@@ -107,6 +112,7 @@ def hash_network(network: PlaceNetwork) -> str:
 
 
 def _read(path: Path) -> tuple[_Description, dict[str, Tensor]]:
+    check_file(path, MOST_WEIGHTS_BYTES, what="the weights", kind=RecognizerError)
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -120,7 +126,7 @@ def _read(path: Path) -> tuple[_Description, dict[str, Tensor]]:
             f"{path}"
         ) from error
     try:
-        description = _Description.model_validate(json.loads(metadata[_METADATA_KEY]))
+        description = _Description.model_validate_json(metadata[_METADATA_KEY])
         last_layer = tensors[_LAST_LAYER]
     except (KeyError, ValueError) as error:  # of pydantic, too
         raise RecognizerError(f"the weights are not of a place network: {path}") from error

@@ -104,11 +104,12 @@ def find_maps(layers: Sequence[Layer]) -> FeatureMaps:
     for layer, name in zip(layers, names, strict=True):
         if path := find_pretrained(name):
             return FeatureMaps(layer, path)
+    own = "".join(f", or into {folder}" for folder in weights_folders()[-1:])
     raise RecognizerError(
         "there is no file of published weights whose name begins with "
         f"{' or '.join(dict.fromkeys(names))} ("
         f"{', '.join(sorted(SUFFIXES))}); put it into the folder that the environment variable "
-        f"{FOLDER_VARIABLE} names, or into {weights_folders()[-1]}"
+        f"{FOLDER_VARIABLE} names{own}"
     )
 
 

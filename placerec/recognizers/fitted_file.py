@@ -21,7 +21,7 @@ from placerec.certificate import (
     write_certificate,
 )
 from placerec.errors import RecognizerError
-from placerec.files import write_atomically
+from placerec.files import MOST_WEIGHTS_BYTES, check_file, is_file, write_atomically
 from placerec.recognizer import (
     ENTRY_POINT_GROUP,
     WEIGHTS_SUFFIX,
@@ -152,8 +152,9 @@ def read_fitted(path: Path, recognizer: str) -> Fitted:
         RecognizerError: the file cannot be read, or is not of this recognizer.
     """
     remedy = f"`placerec fit {recognizer} FOLDER --out FILE` makes one"
-    if not path.is_file():
+    if not is_file(path):
         raise RecognizerError(f"there is no file of what {recognizer} learned; {remedy}: {path}")
+    check_file(path, MOST_WEIGHTS_BYTES, kind=RecognizerError)
     try:
         with safe_open(path, framework="np") as file:
             description = _Description.model_validate_json((file.metadata() or {})[METADATA_KEY])
@@ -167,6 +168,8 @@ def read_fitted(path: Path, recognizer: str) -> Fitted:
 
 def owner_of(path: Path) -> str | None:
     """Return the recognizer whose file it is, None where it is of another kind or damaged."""
+    if not is_file(path):
+        return None
     try:
         with safe_open(path, framework="np") as file:
             return _Description.model_validate_json(file.metadata()[METADATA_KEY]).recognizer

@@ -4,7 +4,6 @@
 import hashlib
 import io
 import json
-import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,16 @@ from torch import Tensor, nn
 
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
-from placerec.files import write_atomically
+from placerec.files import MOST_WEIGHTS_BYTES, read_bytes, write_atomically
 from placerec.networks import PlaceNetwork
+from placerec.networks.pretrained import load_pickle
 from placerec.training.config import TrainingConfig
 from placerec.training.images import Augmentation
 
 _MAY_CHANGE = {"steps", "minutes", "learning_rate", "trunk_learning_rate"}
 """Settings that a resumed training need not share with its beginning."""
+_MOST_BYTES = 3 * MOST_WEIGHTS_BYTES
+"""The optimizer keeps two numbers for each of the network's."""
 _SEEN_IN_NETWORK = {
     *("trunk", "block", "grid", "covariance", "words", "size", "dimension"),
     *("weights", "random_last_layer"),
@@ -52,6 +54,13 @@ class Checkpoint:
     round: int
     step: int
     elapsed_s: float
+
+
+_KINDS = {"settings": dict, "network": dict, "optimizer": dict} | {
+    **dict.fromkeys(("positives", "negatives"), Tensor),
+    **dict.fromkeys(("used", "round", "step"), int),
+    "elapsed_s": float,
+}
 
 
 def settings_of(
@@ -100,13 +109,11 @@ def read_checkpoint(path: Path, settings: dict[str, str]) -> Checkpoint:
     Raises:
         RecognizerError: it cannot be read, is damaged, or is of a training with other settings.
     """
+    content = read_bytes(path, _MOST_BYTES, what="the checkpoint", kind=RecognizerError)
     try:
-        content = io.BytesIO(path.read_bytes())
-    except OSError as error:
-        raise RecognizerError(f"cannot read the checkpoint: {error.strerror}: {path}") from error
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of torch, about files that are refused
-            loaded = torch.load(content, map_location="cpu", weights_only=True)
+        loaded = load_pickle(content)
+        if not all(isinstance(loaded[name], kind) for name, kind in _KINDS.items()):
+            raise TypeError("something in it is of another kind")
         checkpoint = Checkpoint(**loaded)
     except Exception as error:  # torch raises many kinds for a damaged file
         what = "the checkpoint is damaged; remove it to start anew"

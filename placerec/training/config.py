@@ -12,6 +12,8 @@ from pydantic.dataclasses import dataclass
 from placerec.errors import RecognizerError
 from placerec.training.image_sets import GAMMA_PRIME, SetRules
 
+_MOST = 1_000_000
+
 
 class Loss(StrEnum):
     """What is minimised: eq. 7, eq. 6, or eq. 2 on the same sets, to compare with."""
@@ -57,28 +59,28 @@ class TrainingConfig:
     # A string to tyro, so that errors about it are told as all others are.
     loss: Annotated[str, GetPydanticSchema(lambda _, schema: schema(Loss))] = Loss.SIMPLIFIED.value
     """What is minimised: multi-constraint, multi-constraint-full or triplet."""
-    alpha: float = Field(default=0.5, ge=0.0)
+    alpha: float = Field(default=0.5, ge=0.0, le=_MOST)
     """Margin between positives and negatives; 0.5 is the paper's."""
-    beta: float = Field(default=0.3, ge=0.0)
+    beta: float = Field(default=0.3, ge=0.0, le=_MOST)
     """Margin between the positives' spread and two negatives' distance; 0.3 is the paper's."""
-    gamma_prime: float = Field(default=GAMMA_PRIME, ge=0.0)
+    gamma_prime: float = Field(default=GAMMA_PRIME, ge=0.0, le=_MOST)
     """Squared distance below which a negative is learned from; 0.4 is the paper's."""
-    scenes_per_round: int | None = Field(default=None, ge=1)
+    scenes_per_round: int | None = Field(default=None, ge=1, le=_MOST)
     """Recordings of DATA that are visited per round, drawn anew each time; none: all."""
-    places_per_scene: int | None = Field(default=None, ge=2)
+    places_per_scene: int | None = Field(default=None, ge=2, le=_MOST)
     """Places of each that are looked at per round, drawn anew each time; none: all."""
-    images_per_place: int = Field(default=8, ge=1)
+    images_per_place: int = Field(default=8, ge=1, le=_MOST)
     """Images of each place that are looked at per round, drawn anew each time."""
-    batch_sets: int = Field(default=5, ge=1)
+    batch_sets: int = Field(default=5, ge=1, le=1000)
     """Image sets per step."""
-    steps: int | None = Field(default=None, ge=0, alias="max_steps")
+    steps: int | None = Field(default=None, ge=0, le=10**9, alias="max_steps")
     """Steps after which the training ends; none: when all places are told apart. With 0 the trunk
     stays what it is, and the fully connected layer is made anew."""
-    minutes: float | None = Field(default=None, gt=0.0)
+    minutes: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
     """Time after which the training ends, resumed parts added up; none: no such limit."""
-    learning_rate: float = Field(default=1e-4, gt=0.0)
+    learning_rate: float = Field(default=1e-4, gt=0.0, allow_inf_nan=False)
     """Of the fully connected layer."""
-    trunk_learning_rate: float = Field(default=1e-5, ge=0.0)
+    trunk_learning_rate: float = Field(default=1e-5, ge=0.0, allow_inf_nan=False)
     """Of the layers before it."""
     frozen_block: str | None = None
     """The trunk stays as it is up to the end of this block; none: all layers are trained."""
@@ -86,7 +88,7 @@ class TrainingConfig:
     """Turn, crop, blur and relight the images of each step, as a hand-held camera would."""
     mixed_precision: bool = False
     """Multiply in bfloat16 on a CPU too, as on a GPU always: faster where the CPU knows how."""
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, lt=1 << 63)
     """What all draws come from."""
 
     @model_validator(mode="wrap")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from placerec.errors import RecognizerError
-from placerec.files import write_atomically
+from placerec.files import read_text, write_atomically
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,9 @@ def read_log(path: Path) -> list[StepRecord]:
     Raises:
         RecognizerError: it cannot be read, or is no training's.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    if not path.exists():
         return []
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecognizerError(f"cannot read the log: {error}: {path}") from error
+    text = read_text(path, what="the log", kind=RecognizerError)
     # The last line ends in no line break where a process was killed within it.
     header, *rows = [line.split(",") for line in text.split("\n")[:-1]] or [_NAMES]
     try:

@@ -221,8 +221,14 @@ class Training:
         write_checkpoint(checkpoint, self.checkpoint_path)
 
     def _resume(self, checkpoint: Checkpoint) -> None:
-        self.network.load_state_dict(checkpoint.network)
-        self._learner.optimizer.load_state_dict(checkpoint.optimizer)
+        try:
+            self.network.load_state_dict(checkpoint.network)
+            self._learner.optimizer.load_state_dict(checkpoint.optimizer)
+        except Exception as error:  # torch raises many kinds for what does not fit
+            raise RecognizerError(
+                "the checkpoint does not fit its network; remove it to start anew:"
+                f" {self.checkpoint_path}"
+            ) from error
         self._sets = ImageSets(checkpoint.positives.numpy(), checkpoint.negatives.numpy())
         self._used, self._round, self._step = checkpoint.used, checkpoint.round, checkpoint.step
         self._elapsed_s = checkpoint.elapsed_s

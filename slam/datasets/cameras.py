@@ -3,19 +3,20 @@
 
 import json
 import re
-import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from placerec.files import write_atomically
-from slam.config import InputConfig, PositiveFloat, PositiveInt
+from placerec.datasets.image_size import check_size
+from placerec.files import read_json, read_toml, write_atomically
+from slam.config import DepthScale, InputConfig, PositiveFloat, PositiveInt
 from slam.types import Camera, FloatArray, SlamError
 
 CAMERA_FILE = "camera.toml"
+_WHAT = "the camera file"
 UNITS_PER_M = 1000.0
 """The depth scale of nearly every sensor but the TUM benchmark's."""
 
@@ -45,7 +46,7 @@ class _CameraTable(BaseModel):
     cx: FiniteFloat
     cy: FiniteFloat
     distortion: Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=5)] = (0.0,) * 5
-    depth_scale: PositiveFloat
+    depth_scale: DepthScale
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     depth_noise_m: PositiveFloat = Camera.depth_noise_m
 
@@ -95,16 +96,7 @@ def read_camera(path: Path) -> Camera:
     Raises:
         SlamError: the file is missing, is not TOML, or a key is missing, unknown or out of range.
     """
-    return camera_of(_parsed(path, "TOML", tomllib.loads), path)
-
-
-def _parsed(file: Path, kind: str, parse: Callable[[str], Any]) -> Any:
-    try:
-        return parse(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SlamError(f"cannot read the camera file: {error.strerror}: {file}") from error
-    except ValueError as error:  # no text, or not of this kind
-        raise SlamError(f"the camera file is not valid {kind}: {error}: {file}") from error
+    return camera_of(read_toml(path, what=_WHAT, kind=SlamError), path)
 
 
 def camera_of(values: Mapping[str, object], path: Path) -> Camera:
@@ -122,6 +114,10 @@ def camera_of(values: Mapping[str, object], path: Path) -> Camera:
             f"camera keys cx, cy = {table.cx:g}, {table.cy:g} lie outside the image of"
             f" {table.width}x{table.height} pixels; they are the optical axis in pixels: {path}"
         )
+    try:
+        check_size(table.width, table.height)
+    except ValueError as error:
+        raise SlamError(f"camera keys width, height: {error}: {path}") from error
     return Camera(**{**table.model_dump(), "distortion": (*table.distortion, 0.0)[:5]})
 
 
@@ -175,7 +171,7 @@ def read_intrinsics(file: Path) -> Camera:
     Raises:
         SlamError: the file cannot be read, or a value is missing or out of range.
     """
-    values = _parsed(file, "JSON", json.loads)
+    values = read_json(file, what=_WHAT, kind=SlamError)
     if not isinstance(values, dict):
         raise SlamError(f"the camera file does not hold names and values: {file}")
     if isinstance(values.get("camera"), dict):
@@ -200,6 +196,8 @@ def _of_realsense(values: dict[str, Any], file: Path) -> dict[str, object]:
     names = {"fx": "fx", "fy": "fy", "ppx": "cx", "ppy": "cy"}
     pinhole = {ours: values[theirs] for theirs, ours in names.items() if theirs in values}
     coefficients, model = values.get("coeffs", [0.0] * 5), str(values.get("model", ""))
+    if not isinstance(coefficients, list):
+        raise SlamError(f"coeffs = {coefficients!r} is no list of numbers: {file}")
     if not any(coefficients):
         return pinhole
     # Inverse or not, librealsense projects with OpenCV's formula (rs2_project_point_to_pixel).

@@ -14,18 +14,26 @@ import urllib.error
 import urllib.request
 import zlib
 from pathlib import Path, PurePosixPath
+from typing import IO, cast
 
 from placerec.datasets.names import benchmark_folder, benchmark_name, did_you_mean, find_data
-from placerec.files import Progress, cache_folder
+from placerec.files import Progress, cache_folder, check_file
 from slam.types import SlamError
 
 _SERVER = "https://cvg.cit.tum.de/rgbd/dataset"
-
+_WEB = ("https://", "http://")
 _TRIES = 5
 _PAUSE_S = 0.5
 _TIMEOUT_S = 30.0
 _CHUNK_BYTES = 1 << 18
+_MOST_BYTES = 1 << 35
+"""Of a download; the largest of the benchmark's has a tenth."""
+_MOST_UNPACKED = (4, 100 << 20)
+"""Times the bytes of an archive, and so many more: images are compressed already."""
 _TRY_AGAIN = frozenset({408, 425, 429, 500, 502, 503, 504})
+_LENGTH = r"[0-9]{1,18}"
+_EXTENT = rf"bytes ({_LENGTH})-{_LENGTH}/({_LENGTH}|\*)"
+_LONGEST_NAME = 255
 _CORRUPTED = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError)
 _log = logging.getLogger(__name__)
 
@@ -55,7 +63,7 @@ def resolve(name_or_path: str, progress: Progress | None = None) -> Path:
 
 def _fetch(folder_name: str, progress: Progress | None) -> Path:
     server = os.environ.get("LOOPCLOSE_TUM_URL", _SERVER).rstrip("/")
-    if not server.startswith(("https://", "http://")):
+    if not server.startswith(_WEB):
         raise SlamError(f"LOOPCLOSE_TUM_URL must start with https:// or http://: {server}")
     folder = cache_folder() / folder_name
     archive = cache_folder() / f"{folder_name}.tgz"
@@ -111,12 +119,12 @@ def _download(url: str, target: Path, progress: Progress | None = None) -> None:
 def _continue(url: str, part: Path, version: Path, progress: Progress | None) -> None:
     """Ask for what is missing and append it; start anew where the server cannot go on there."""
     start = part.stat().st_size if part.exists() else 0
-    request = urllib.request.Request(url, headers={"User-Agent": "loopclose"})
+    headers = {"User-Agent": "loopclose"}
     if start:
-        request.add_header("Range", f"bytes={start}-")
+        headers["Range"] = f"bytes={start}-"
         if version.exists():
-            request.add_header("If-Range", version.read_text())
-    response = _open(request, part)
+            headers["If-Range"] = version.read_text(encoding="latin-1")
+    response = _open(url, headers, part)
     if response is None:
         return
     with response:
@@ -128,6 +136,8 @@ def _continue(url: str, part: Path, version: Path, progress: Progress | None) ->
         _remember_version(response, version)
         with part.open("ab" if start else "wb") as file:
             while chunk := _chunk(response):
+                if start > _MOST_BYTES:
+                    raise SlamError(f"the server sends more than any sequence has: {url}")
                 file.write(chunk)
                 start += len(chunk)
                 if progress:
@@ -136,11 +146,13 @@ def _continue(url: str, part: Path, version: Path, progress: Progress | None) ->
         raise _ConnectionCutError(f"{start} of {total} bytes arrived")
 
 
-def _open(request: urllib.request.Request, part: Path) -> http.client.HTTPResponse | None:
+def _open(url: str, headers: dict[str, str], part: Path) -> http.client.HTTPResponse | None:
     """Return the server's answer, or None where it says that nothing is missing."""
-    url = request.full_url
     try:
+        request = urllib.request.Request(url, headers=headers)
         response: http.client.HTTPResponse = urllib.request.urlopen(request, timeout=_TIMEOUT_S)
+        if not response.url.startswith(_WEB):
+            raise SlamError(f"the server leads to {response.url}, which is no web address: {url}")
         return response
     except urllib.error.HTTPError as error:
         why = f"HTTP {error.code} {error.reason}"
@@ -153,6 +165,8 @@ def _open(request: urllib.request.Request, part: Path) -> http.client.HTTPRespon
         raise SlamError(f"the server refuses the download ({why}): {url}") from error
     except (OSError, http.client.HTTPException) as error:
         raise _ConnectionCutError(str(getattr(error, "reason", error)) or "no answer") from error
+    except ValueError as error:  # urllib's about the address, or one that the server leads to
+        raise SlamError(f"this is, or leads to, no web address ({error}): {url}") from error
 
 
 def _start_anew(part: Path, why: str) -> _ConnectionCutError:
@@ -163,18 +177,20 @@ def _start_anew(part: Path, why: str) -> _ConnectionCutError:
 def _extent(response: http.client.HTTPResponse) -> tuple[int, int | None]:
     """Return the first byte's position in the whole file, and the file's length where known."""
     if response.status == 206:
-        extent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers["Content-Range"] or "")
+        extent = re.fullmatch(_EXTENT, response.headers["Content-Range"] or "")
         if extent is None:
             raise _ConnectionCutError("the server does not say which part it sends")
         return int(extent[1]), None if extent[2] == "*" else int(extent[2])
     length = response.headers["Content-Length"]
+    if length and not re.fullmatch(_LENGTH, length):
+        raise _ConnectionCutError("the server tells a length that is none")
     return 0, int(length) if length else None
 
 
 def _remember_version(response: http.client.HTTPResponse, version: Path) -> None:
     tag = response.headers["ETag"] or ""
-    if tag.startswith('"'):  # a weak tag (W/"...") may not be used to resume
-        version.write_text(tag)
+    if re.fullmatch(r'"[!-~]*"', tag):  # a weak tag (W/"...") may not be used to resume
+        version.write_text(tag, encoding="latin-1")
     else:
         version.unlink(missing_ok=True)
 
@@ -194,6 +210,7 @@ def _unpack(archive: Path, folder: Path) -> None:
         SlamError: the archive is corrupted, holds a path or link that could leave the folder or
             no sequence, or the disk is full; a corrupted or refused archive is removed.
     """
+    check_file(archive, _MOST_BYTES, kind=SlamError)
     try:
         with tempfile.TemporaryDirectory(
             dir=folder.parent, prefix=f".{folder.name}-"
@@ -218,31 +235,61 @@ class _RefusedError(Exception):
     """Says what is wrong with an intact archive."""
 
 
+class _Bounded:
+    """A stream that ends in a refusal where more comes out of an archive than can be meant."""
+
+    def __init__(self, stream: gzip.GzipFile, most_bytes: int) -> None:
+        self._stream = stream
+        self._left = most_bytes
+
+    def read(self, size: int) -> bytes:
+        chunk = self._stream.read(size)
+        self._left -= len(chunk)
+        if self._left < 0:
+            raise _RefusedError("far more comes out of it than it has bytes")
+        return chunk
+
+
 def _extract(archive: Path, folder: Path) -> None:
-    with gzip.open(archive) as stream:
-        with tarfile.open(fileobj=stream, mode="r|") as tar:
-            for member in tar:
-                target = folder / _safe_path(member)
-                if member.isdir():
-                    target.mkdir(parents=True, exist_ok=True)
-                    continue
-                target.parent.mkdir(parents=True, exist_ok=True)
-                content = tar.extractfile(member)
-                assert content is not None  # regular files have content
-                with target.open("wb") as file:
-                    shutil.copyfileobj(content, file)
+    factor, more = _MOST_UNPACKED
+    with gzip.open(archive) as packed:
+        stream = _Bounded(packed, factor * archive.stat().st_size + more)
+        try:
+            _write_members(stream, folder)
+        except (_RefusedError, OSError, *_CORRUPTED):
+            raise
+        except Exception as error:  # broken bytes lead tarfile anywhere
+            raise tarfile.ReadError(type(error).__name__) from error
         # The checksum stands at the very end, behind what tar needs.
         while stream.read(1 << 20):
             pass
 
 
+def _write_members(stream: _Bounded, folder: Path) -> None:
+    with tarfile.open(fileobj=cast(IO[bytes], stream), mode="r|") as tar:
+        for member in tar:
+            target = folder / _safe_path(member)
+            try:
+                (target if member.isdir() else target.parent).mkdir(parents=True, exist_ok=True)
+                if member.isdir():
+                    continue
+                content = tar.extractfile(member)
+                assert content is not None  # regular files have content
+                with target.open("xb") as file:
+                    shutil.copyfileobj(content, file)
+            except (FileExistsError, NotADirectoryError) as error:
+                raise _RefusedError(f"it holds {member.name!r} twice") from error
+
+
 def _safe_path(member: tarfile.TarInfo) -> PurePosixPath:
     # Only plain files and folders are written, so no link can redirect a later member.
-    if not (member.isfile() or member.isdir()):
+    if not (member.isfile() or member.isdir()) or member.issparse():
         raise _RefusedError(f"it holds {member.name!r}, which is neither a file nor a folder")
     path = PurePosixPath(member.name)
     if path.is_absolute() or ".." in path.parts or "\\" in member.name or ":" in member.name:
         raise _RefusedError(f"it holds {member.name!r}, a path that could leave the target folder")
+    if len(member.name.encode(errors="replace")) > _LONGEST_NAME or "\0" in member.name:
+        raise _RefusedError(f"it holds {member.name!r}, a name that no file can have")
     return path
 
 

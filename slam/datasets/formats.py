@@ -144,9 +144,9 @@ def _not_recognised(path: Path) -> str:
     elif nearly:
         hint = f"; it would be {', '.join(nearly)}"
     formats = "; ".join(f"{each.name}: {_said(each.needs)}" for each in FORMATS)
+    known = "" if hint else f" ({formats})"
     return (
-        f"no recording in a known format, the folder holds {seen or 'nothing'}{hint} ({formats}):"
-        f" {path}"
+        f"no recording in a known format, the folder holds {seen or 'nothing'}{hint}{known}: {path}"
     )
 
 

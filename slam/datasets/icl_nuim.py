@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.images import BrokenImage
+from placerec.datasets.images import BrokenImage, content_of
 from placerec.datasets.tum_lists import as_numbers, read_lines
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, rescaled
@@ -132,10 +132,12 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 def _read_distances(file: Path, camera: Camera) -> NDArray[np.float32] | BrokenImage:
     """Return the depth along the optical axis, metres, from distances along the viewing rays."""
+    content = content_of(file)
+    if isinstance(content, BrokenImage):
+        return content
     try:
-        values = np.array(file.read_bytes().split(), dtype=np.float32)
-    except OSError as error:
-        return BrokenImage(file, error.strerror or "cannot be read")
+        with np.errstate(over="ignore"):  # infinite is as good as unknown
+            values = np.array(content.split(), dtype=np.float32)
     except ValueError:
         return BrokenImage(file, "not a list of numbers")
     if len(values) != camera.width * camera.height:

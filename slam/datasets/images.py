@@ -82,7 +82,7 @@ def read_color(path: Path) -> NDArray[np.uint8] | BrokenImage:
     image = decode(path, COLOR_FLAGS)
     if isinstance(image, BrokenImage):
         return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image), dtype=np.uint8)
 
 
 def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:

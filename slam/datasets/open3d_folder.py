@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from placerec.datasets.tum_lists import as_numbers, read_lines
+from placerec.datasets.tum_lists import as_numbers, as_whole_number, read_lines
 from slam.config import InputConfig
 from slam.datasets.cameras import UNITS_PER_M, named_camera, read_intrinsics, rescaled
 from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs, read_size
@@ -110,7 +110,7 @@ def open_realsense(path: Path, config: InputConfig) -> Sequence:
     warnings: list[str] = []
     pairs = numbered_pairs(_color_folder(path), path / "depth", warnings)
     names = ("timestamps.csv", "timestamps.txt")
-    file = next(path / name for name in names if (path / name).is_file())
+    file = next(path / name for name in names if (path / name).exists())
     stamps_s = _read_times(file, [pair.number for pair in pairs], warnings)
     timed = [pair for pair in pairs if pair.number in stamps_s]
     if not timed:
@@ -162,6 +162,7 @@ def _read_row(number: int, line: str, file: Path) -> tuple[int | None, float]:
     named = ANY_IMAGE.fullmatch(Path(fields[0]).name)
     image = named[1] if named else fields[0]
     values = as_numbers(fields[0] if len(fields) == 1 else fields[1])
-    if values is None or (len(fields) > 1 and not image.isdecimal()):
+    image_number = as_whole_number(image) if len(fields) > 1 else None
+    if values is None or (len(fields) > 1 and image_number is None):
         raise SlamError(f'line {number} is neither "image time" nor "time": {line!r}: {file}')
-    return int(image) if len(fields) > 1 else None, values[0]
+    return image_number, values[0]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
+from placerec.files import is_file
 from slam.datasets.images import read_color, read_depth
 from slam.datasets.registration import Registration
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
@@ -133,7 +134,7 @@ class Sequence:
 
     def _exists(self, pair: ImagePair) -> bool:
         for path in (pair.color_path, pair.depth_path):
-            if not (path.is_file() or path.parent.is_file()):  # the latter is a video
+            if not (is_file(path) or is_file(path.parent)):  # the latter is a video
                 self._skip(pair, BrokenImage(path, "the file is missing"))
                 return False
         return True

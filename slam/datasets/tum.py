@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from placerec.datasets.tum_lists import as_numbers, nearest, read_images, read_lines
+from placerec.files import is_file
 from slam.config import InputConfig
 from slam.datasets.cameras import freiburg_camera, named_camera, rescaled
 from slam.datasets.images import is_depth
@@ -92,7 +93,7 @@ def _depth_is_first(rows: list[tuple[_Stamped, _Stamped]], file: Path) -> bool:
         kinds = [is_depth(first), is_depth(second)]
         if kinds[0] != kinds[1]:
             return kinds[0]
-        if first.is_file() and second.is_file():
+        if is_file(first) and is_file(second):
             break
     (_, first), (_, second) = rows[0]
     named = ["depth" in path.relative_to(file.parent).as_posix() for path in (first, second)]

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from placerec.files import write_atomically
+from placerec.files import read_text, write_atomically
 from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
 from slam.output.decision import Decision, decisions
@@ -109,13 +109,10 @@ def read_ledger(path: Path) -> tuple[LoopRecord, ...]:
         SlamError: the file cannot be read or a line is not a loop record; names the line.
     """
     records: list[LoopRecord] = []
+    lines = read_text(path, what="the loop ledger", kind=SlamError).splitlines()
     try:
-        for line in path.read_text(encoding="utf-8").splitlines():
+        for line in lines:
             records.append(_LINE.validate_json(line))
-    except OSError as error:
-        raise SlamError(f"cannot read the loop ledger: {error.strerror}: {path}") from error
-    except UnicodeDecodeError as error:
-        raise SlamError(f"the loop ledger is not a text file: {path}") from error
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"]) or "the line"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from placerec.files import write_atomically
+from placerec.errors import printable
+from placerec.files import is_file, write_atomically
 from slam.config import Config, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
@@ -29,7 +30,7 @@ def make_run_folder(folder: Path) -> None:
     Raises:
         SlamError: it cannot be created or written to, or it holds a recording.
     """
-    if (folder / "rgb.txt").exists():
+    if is_file(folder / "rgb.txt"):
         raise SlamError(
             f"the outputs would replace files of the recording in this folder; choose another with"
             f" --out: {folder}"
@@ -74,7 +75,7 @@ def write_run(
         for name in ("groundtruth.txt", "map.ply", "map_odom.txt", f"{_CORRECTED}.*"):
             for file in folder.glob(name):  # this run may not make them
                 file.unlink()
-    settings = f"# {command} --config settings.toml\n\n{to_toml(config)}"
+    settings = f"# {printable(command)} --config settings.toml\n\n{to_toml(config)}"
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
     of_keyframe = np.isin(result.trajectory.timestamps_s, keyframe_s)
     loops = [

@@ -11,7 +11,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from placerec.files import write_atomically
+from placerec.files import read_text, write_atomically
 from slam.geometry import se3
 from slam.pose_graph.batch import pose_at
 from slam.types import FloatArray, Link, SlamError
@@ -54,11 +54,7 @@ def read_g2o(path: Path) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     Raises:
         SlamError: the file is missing, or a line of it is not what g2o allows.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise SlamError(f"cannot read the g2o file: {reason}: {path}") from error
+    lines = read_text(path, what="the g2o file", kind=SlamError).split("\n")
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     dimensions = set()
     for number, line in enumerate(lines, 1):

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from placerec.errors import deferred_interrupts
+from placerec.errors import LoopcloseError, deferred_interrupts
 
 
 def test_first_interrupt_waits_and_the_second_does_not():
@@ -25,3 +25,16 @@ def test_other_threads_leave_signals_alone():
 
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(enter).result() == (False, signal.getsignal(signal.SIGINT))
+
+
+def test_a_message_is_one_line_without_what_steers_a_terminal():
+    error = LoopcloseError("no image: a\nb\x1b[31m\u202egnp.x\udcff \U0001f600 ä: /tmp/x")
+    assert str(error) == r"no image: a\nb\x1b[31m\u202egnp.x\udcff 😀 ä: /tmp/x"
+
+
+def test_a_long_message_keeps_its_beginning_and_its_path():
+    text = str(LoopcloseError(f"line 1 is no pose: {'x' * 10**6}: /tmp/poses.txt"))
+    assert len(text) < 700
+    assert text.startswith("line 1 is no pose: xxx")
+    assert " [... 999435 characters ...] " in text
+    assert text.endswith("xxx: /tmp/poses.txt")

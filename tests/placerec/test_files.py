@@ -1,12 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
+import codecs
 import errno
 import os
+import socket
 from pathlib import Path
 
 import pytest
 
 from placerec.errors import LoopcloseError
-from placerec.files import cache_folder, write_atomically
+from placerec.files import (
+    cache_folder,
+    is_file,
+    is_folder,
+    read_bytes,
+    read_json,
+    read_text,
+    read_toml,
+    write_atomically,
+)
 
 
 def names_in(folder):
@@ -74,3 +85,93 @@ def test_without_a_usable_setting_it_is_under_the_home(monkeypatch, tmp_path, va
     monkeypatch.setenv("XDG_CACHE_HOME", value)
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
     assert cache_folder() == tmp_path / ".cache" / "loopclose"
+
+
+def test_no_home_is_one_line_that_tells_what_to_set(monkeypatch):
+    def fail():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", fail)
+    with pytest.raises(LoopcloseError, match="set XDG_CACHE_HOME"):
+        cache_folder()
+
+
+@pytest.mark.parametrize(
+    ("mark", "encoding"),
+    [
+        (b"", "utf-8"),
+        (codecs.BOM_UTF8, "utf-8"),
+        (codecs.BOM_UTF16_LE, "utf-16-le"),
+        (codecs.BOM_UTF16_BE, "utf-16-be"),
+        (codecs.BOM_UTF32_LE, "utf-32-le"),
+        (codecs.BOM_UTF32_BE, "utf-32-be"),
+    ],
+)
+def test_text_is_read_without_the_mark_of_its_encoding(tmp_path, mark, encoding):
+    file = tmp_path / "list.txt"
+    file.write_bytes(mark + "1.0 Weg/ä.png\r\n".encode(encoding))
+    assert read_text(file) == "1.0 Weg/ä.png\r\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\xff\xfe\x80", r"binary\.txt is not text in UTF-8; save it as such"),
+        ("Weg ä".encode("latin-1"), "not text in UTF-8"),
+        (b"a\nb\0c", "not text: line 2 holds a NUL"),
+        ("1 a.png".encode("utf-16-le"), "holds a NUL"),
+        (b"12345", "larger than 0 MB"),
+    ],
+)
+def test_what_is_no_text_is_one_line(tmp_path, content, message):
+    file = tmp_path / "binary.txt"
+    file.write_bytes(content)
+    with pytest.raises(LoopcloseError, match=message) as caught:
+        read_text(file, most_bytes=4 if content == b"12345" else 1000)
+    assert str(caught.value).endswith(str(file))
+
+
+def test_what_is_no_plain_file_is_refused_before_it_is_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "socket"))
+    for path in (tmp_path / "pipe", tmp_path / "socket", Path("/dev/zero")):
+        with pytest.raises(LoopcloseError, match="a pipe, a device or a socket"):
+            read_bytes(path)
+    with pytest.raises(LoopcloseError, match="Is a directory"):
+        read_bytes(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["gone", "x" * 300, "a\0b", "\ud800"])
+def test_a_name_that_no_file_has_is_one_line(tmp_path, name):
+    assert not is_file(tmp_path / name)
+    assert not is_folder(tmp_path / name)
+    with pytest.raises(LoopcloseError, match="cannot read "):
+        read_bytes(tmp_path / name)
+
+
+def test_a_file_of_more_bytes_than_it_says_is_not_read_to_its_end(tmp_path):
+    (tmp_path / "sparse").touch()
+    os.truncate(tmp_path / "sparse", 1 << 40)
+    with pytest.raises(LoopcloseError, match="larger than 256 MB"):
+        read_bytes(tmp_path / "sparse")
+    with pytest.raises(LoopcloseError, match="larger than 0 MB"):
+        read_bytes(Path("/proc/self/environ"), most_bytes=1)  # whose size is told as 0
+
+
+DEEP, LONG = "[" * 200_000, "9" * 5000
+
+
+@pytest.mark.parametrize("text", [DEEP, LONG, "{", "a", '{"a": '])
+def test_broken_json_is_one_line(tmp_path, text):
+    (tmp_path / "file.json").write_text(text)
+    with pytest.raises(LoopcloseError, match=r"file\.json is not valid JSON"):
+        read_json(tmp_path / "file.json")
+
+
+@pytest.mark.parametrize("text", ["a = " + DEEP, f"a = {LONG}", "a", "a = 1\na = 2"])
+def test_broken_toml_is_one_line(tmp_path, text):
+    (tmp_path / "file.toml").write_text(text)
+    with pytest.raises(LoopcloseError, match=r"file\.toml is not valid TOML"):
+        read_toml(tmp_path / "file.toml")

@@ -43,10 +43,33 @@ def test_settings_of_the_file_replace_the_defaults(tmp_path):
             loop=LoopConfig(min_similarity=-0.25, min_gap=1),
             map=MapConfig(write=False),
         ),
+        Config(input=InputConfig(camera=Path("/a\n[map]\t\r\x7f\x1b \U0001f600ä\u2028"))),
     ],
 )
 def test_toml_round_trip(tmp_path, config):
     assert load(tmp_path, to_toml(config)) == config
+
+
+def test_a_name_that_no_settings_file_can_hold_is_refused():
+    with pytest.raises(ValidationError, match="not in UTF-8; rename it"):
+        InputConfig(camera=Path("caf\udce9.toml"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "features.count",
+        "verification.ransac_iterations",
+        "verification.min_matches",
+        "loop.candidates",
+        "odometry.links",
+        "input.depth_scale",
+    ],
+)
+def test_a_setting_that_would_take_days_or_all_memory_is_refused(tmp_path, name):
+    section, key = name.split(".")
+    message = error_of(tmp_path, f"[{section}]\n{key} = 2000000000\n")
+    assert f"setting {name} = 2000000000: Input should be less than or equal to" in message
 
 
 def test_a_missing_file_is_named(tmp_path):
@@ -65,8 +88,8 @@ def test_text_that_is_not_toml(tmp_path):
 
 def test_bytes_that_are_not_text(tmp_path):
     path = tmp_path / "settings.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SlamError, match="not valid TOML"):
+    path.write_bytes(b"\x80\xff\x00")
+    with pytest.raises(SlamError, match="not text in UTF-8"):
         load_config(path)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from placerec.errors import LoopcloseError
+from placerec.files import check_file, is_file
 from slam.types import SlamError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -17,9 +18,10 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 
 def is_bag(path: Path) -> bool:
     """Whether a path is that of a bag, by its name or by what its folder holds."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix in SUFFIXES or is_file(path / "metadata.yaml")
 
 
+_MOST_BYTES = 1 << 44  # what is asked is whether they are plain files: bags may be of any size
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 # Of tf's first version, which is laid out in the same way.
 _OLD_NAMES = {"tf/msg/tfMessage": _TRANSFORMS}
@@ -57,6 +59,9 @@ class Bag:
             raise SlamError(
                 "reading ROS bags needs the package rosbags: pip install 'loopclose[ros]'"
             ) from error
+        for file in path.iterdir() if path.is_dir() else [path]:
+            if not file.is_dir():
+                check_file(file, _MOST_BYTES, kind=SlamError)
         self.path = path
         is_ros1 = path.suffix == ".bag" and not path.is_dir()
         # Types are taken from here, not from the bag: old bags of ROS 2 do not tell them.

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.images import BrokenImage
+from placerec.datasets.image_size import MOST_PIXELS
+from placerec.datasets.images import BrokenImage, content_of
 from slam.types import SlamError
 
 _MAGIC = b"\x76\x2f\x31\x01"
@@ -25,7 +26,6 @@ _PIXEL_TYPES: dict[int, np.dtype[Any]] = {
 _LINES_PER_CHUNK = {0: 1, 2: 1, 3: 16}
 _COMPRESSIONS = ("none", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB")
 _DEPTH_CHANNELS = ("R", "Z", "Y")
-_MOST_PIXELS = 100_000_000
 
 
 class _Channel(NamedTuple):
@@ -39,15 +39,14 @@ def read_exr(path: Path) -> NDArray[np.float32] | BrokenImage:
     Raises:
         SlamError: the image is of a kind that is not read here.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        return BrokenImage(path, error.strerror or "cannot be read")
+    content = content_of(path)
+    if isinstance(content, BrokenImage):
+        return content
     if content and not content.startswith(_MAGIC):
         return BrokenImage(path, "not an OpenEXR image")
     try:
         return _decoded(content, path)
-    except (struct.error, ValueError, LookupError, zlib.error):
+    except (struct.error, ValueError, LookupError, OverflowError, zlib.error):
         return BrokenImage(path, "the file is cut off or damaged")
 
 
@@ -58,7 +57,7 @@ def _decoded(content: bytes, path: Path) -> NDArray[np.float32]:
     channels = _read_channels(header["channels"])
     left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
-    if not 0 < width * height <= _MOST_PIXELS:
+    if min(width, height) < 1 or width * height * len(channels) > MOST_PIXELS:
         raise ValueError("no such size")
     compression = header["compression"][0]
     if compression not in _LINES_PER_CHUNK:
@@ -68,15 +67,19 @@ def _decoded(content: bytes, path: Path) -> NDArray[np.float32]:
         )
     step = _LINES_PER_CHUNK[compression]
     row_bytes = width * sum(channel.kind.itemsize for channel in channels)
-    rows = np.empty((height, row_bytes), np.uint8)
+    rows = np.zeros((height, row_bytes), np.uint8)
     for offset in np.frombuffer(content, "<u8", -(-height // step), at).tolist():
         line, size = struct.unpack_from("<ii", content, offset)
+        if not top <= line <= bottom:
+            raise ValueError("no such line")
         chunk = rows[line - top : line - top + step]
         stored = np.frombuffer(content, np.uint8, size, offset + 8)
-        chunk[:] = (stored if size == chunk.size else _inflated(stored)).reshape(chunk.shape)
+        chunk[:] = (stored if size == chunk.size else _inflated(stored, chunk.size)).reshape(
+            chunk.shape
+        )
     start, kind = _find_depth(channels, width, path)
-    values = np.ascontiguousarray(rows[:, start : start + width * kind.itemsize]).view(kind)
-    return values.astype(np.float32)
+    own = np.ascontiguousarray(rows[:, start : start + width * kind.itemsize])
+    return own.view(kind).astype(np.float32)
 
 
 def _read_header(content: bytes) -> tuple[dict[str, bytes], int]:
@@ -86,6 +89,8 @@ def _read_header(content: bytes) -> tuple[dict[str, bytes], int]:
         name_end = content.index(b"\0", at)
         type_end = content.index(b"\0", name_end + 1)
         (size,) = struct.unpack_from("<i", content, type_end + 1)
+        if size < 0:  # the search would go round for ever
+            raise ValueError("no such size")
         value = type_end + 5
         header[content[at:name_end].decode()] = content[value : value + size]
         at = value + size
@@ -115,9 +120,10 @@ def _find_depth(channels: list[_Channel], width: int, path: Path) -> tuple[int, 
     return width * sum(channel.kind.itemsize for channel in channels[:i]), channels[i].kind
 
 
-def _inflated(stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return what ZIP made small: differences of bytes, those of even places first."""
-    differences = np.frombuffer(zlib.decompress(stored.tobytes()), np.uint8).astype(np.int64)
+def _inflated(stored: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+    """Return the bytes that ZIP made small: differences of bytes, those of even places first."""
+    unpacked = zlib.decompressobj().decompress(stored.tobytes(), size)
+    differences = np.frombuffer(unpacked, np.uint8).astype(np.int64)
     differences[1:] -= 128
     values = np.cumsum(differences).astype(np.uint8)
     half = (len(values) + 1) // 2

@@ -6,7 +6,6 @@ Their layout is described by its author in https://github.com/marek-simonik/reco
 are compressed is not known: those that are not by ZIP are refused.
 """
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
-from placerec.datasets.tables import read_text
+from placerec.files import read_json
 from slam.config import InputConfig
 from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
 from slam.datasets.images import FRAMES_PER_S, numbered_images, read_color
@@ -51,7 +50,7 @@ def open_record3d(path: Path, config: InputConfig) -> Sequence:
     camera = named_camera(path, config) or _read_camera(metadata, file, warnings)
     fitting = Fitting(rescaled(camera, config))
     units_per_m = fitting.color_camera.depth_scale
-    stamps_s = _read_times(metadata, max(colors) + 1, file)
+    stamps_s = _read_times(metadata, list(colors), file)
     images = [
         ImagePair(stamps_s[n], color, depths.get(n, path / "depth" / f"{n}.exr"))
         for n, color in colors.items()
@@ -68,10 +67,7 @@ def open_record3d(path: Path, config: InputConfig) -> Sequence:
 
 
 def _read_metadata(file: Path) -> dict[str, Any]:
-    try:
-        metadata = json.loads(read_text(file))
-    except ValueError as error:
-        raise SlamError(f"the file is not valid JSON: {error}: {file}") from error
+    metadata = read_json(file, kind=SlamError)
     if not isinstance(metadata, dict):
         raise SlamError(f"the file does not hold names and values: {file}")
     return metadata
@@ -98,17 +94,18 @@ def _read_camera(metadata: dict[str, Any], file: Path, warnings: list[str]) -> C
     return replace(camera_of_matrix(K, size, file), depth_scale=1.0)
 
 
-def _read_times(metadata: dict[str, Any], count: int, file: Path) -> list[float]:
-    """Return the time, seconds, of each of the frames that the numbers of the images count."""
+def _read_times(metadata: dict[str, Any], frames: list[int], file: Path) -> dict[int, float]:
+    """Return the time, seconds, of each of the frames, which increase."""
+    count = frames[-1] + 1
     if metadata.get("frameTimestamps"):
         stamps_s = _numbers(metadata, "frameTimestamps", file)
         if stamps_s.ndim != 1 or len(stamps_s) < count:
             raise SlamError(f"frameTimestamps are {len(stamps_s)}, for {count} images: {file}")
-        return [float(stamp_s) for stamp_s in stamps_s]
+        return {frame: float(stamps_s[frame]) for frame in frames}
     rate = _numbers(metadata, "fps", file) if "fps" in metadata else np.array(FRAMES_PER_S)
     if rate.ndim or rate <= 0.0:
         raise SlamError(f"fps = {metadata['fps']} is no frame rate: {file}")
-    return [i / float(rate) for i in range(count)]
+    return {frame: frame / float(rate) for frame in frames}
 
 
 def _numbers(metadata: dict[str, Any], key: str, file: Path) -> NDArray[np.float64]:
@@ -117,7 +114,7 @@ def _numbers(metadata: dict[str, Any], key: str, file: Path) -> NDArray[np.float
         values = np.array(metadata[key], dtype=np.float64)
     except KeyError:
         raise SlamError(f"the key {key} is missing: {file}") from None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SlamError(f"the key {key} does not hold numbers: {file}") from None
     if not np.isfinite(values).all():
         raise SlamError(f"the key {key} holds a number that is not finite: {file}")

@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.images import BrokenImage, decode
+from placerec.datasets.images import BrokenImage, content_of, decode
 from placerec.datasets.tables import read_csv
 from placerec.datasets.tum_lists import as_numbers
+from placerec.files import array_of
 from slam.config import InputConfig
 from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
 from slam.datasets.images import numbered_images, read_color, read_depth, read_size
@@ -111,7 +112,7 @@ def _colors(
         raise SlamError(f"{differ}; which colour belongs to which depth is not known: {path}")
     if lost:
         warnings.append(f"{differ}; colour may be {lost} frame(s) off its depth")
-    images = {n: path / VIDEO / f"{n:06d}" for n in range(max(video.count, frames))}
+    images = {n: path / VIDEO / f"{n:06d}" for n in stamps_s if n >= 0}
     return images, lambda image: video.frame(int(image.name)), (video.width, video.height)
 
 
@@ -133,11 +134,12 @@ def _read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenI
 
 
 def _read_array(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
+    content = content_of(path)
+    if isinstance(content, BrokenImage):
+        return content
     try:
-        depth = np.load(path, allow_pickle=False)
-    except OSError as error:
-        return BrokenImage(path, error.strerror or "cannot be read")
-    except (ValueError, EOFError):
+        depth = array_of(content)
+    except ValueError:
         return BrokenImage(path, "the file is cut off, or no array")
     if depth.ndim != 2 or depth.dtype.kind not in "uif":
         return BrokenImage(path, "not an array of rows and columns of numbers")

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
+from placerec.files import check_file
 from slam.types import SlamError
 
 _RECENT = 8  # more than threads that ask for neighbouring frames can be apart
 _NEAR = 30  # decoding so many frames takes no longer than looking for one
 
+_MOST_BYTES = 1 << 40
 _ENDS = "the video ends before, or is damaged"
 
 
@@ -35,6 +37,7 @@ class Video:
         Raises:
             SlamError: it cannot be opened, or says that it holds no frame.
         """
+        check_file(path, _MOST_BYTES, kind=SlamError)
         self.path = path
         self._capture = self._opened()
         self.count = round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from placerec.datasets.place_dataset import PlaceDataset, keep_readable
+from placerec.datasets.place_dataset import MOST_IMAGES, PlaceDataset, check_images, keep_readable
 from placerec.errors import RecognizerError
 
 
@@ -93,3 +93,13 @@ def test_image_that_vanished_later_is_an_error(dataset):
     dataset.paths[2].unlink()
     with pytest.raises(RecognizerError, match="image 2 cannot be read: No such file"):
         list(dataset)
+
+
+def test_files_are_looked_for_before_their_pairs_are_counted(tmp_path):
+    paths = [tmp_path / f"{i}.png" for i in range(MOST_IMAGES + 1)]
+    with pytest.raises(RecognizerError, match="walk has 20001 images, at most 20000"):
+        check_images(paths, "walk")
+    with pytest.raises(RecognizerError, match="19999 of the 19999 images of walk are missing"):
+        check_images([*paths[:-3], tmp_path / ("x" * 300)], "walk")
+    (tmp_path / "there").touch()
+    check_images([tmp_path / "there", tmp_path / "gone"], "walk")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from placerec.datasets.tables import read_csv, read_text
+from placerec.datasets.tables import read_csv
 from placerec.errors import LoopcloseError
 
 
@@ -33,9 +33,8 @@ def test_unfit_csv_is_refused(tmp_path, content, message):
         list(read_csv(file, ("floor", "path")))
 
 
-def test_file_that_cannot_be_read_is_one_line(tmp_path):
-    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x80")
-    with pytest.raises(LoopcloseError, match=r"binary\.txt is not text in UTF-8"):
-        read_text(tmp_path / "binary.txt")
-    with pytest.raises(LoopcloseError, match=r"cannot read gone\.csv: No such file"):
-        list(read_csv(tmp_path / "gone.csv", ("a",)))
+def test_a_field_beyond_all_measure_is_refused(tmp_path):
+    file = tmp_path / "table.csv"
+    file.write_text("path,floor\na,b\n" + "x" * 200_000 + ",c\n")
+    with pytest.raises(LoopcloseError, match="line 3 of the table: field larger than"):
+        list(read_csv(file, ("path", "floor")))

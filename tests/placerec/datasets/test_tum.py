@@ -151,7 +151,7 @@ def test_unusable_list_is_refused_in_one_line(recording, name, content, message)
 
 def test_list_that_is_no_text_is_refused(recording):
     folder = recording()
-    (folder / "rgb.txt").write_bytes(b"\xff\xfe\x00\x80")
+    (folder / "rgb.txt").write_bytes(b"\x80\xff\x00")
     with pytest.raises(LoopcloseError, match="not text in UTF-8"):
         read_tum(folder)
 

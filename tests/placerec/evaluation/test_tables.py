@@ -82,3 +82,19 @@ def test_a_failure_has_no_figures(measured):
     }
     assert row["failure"] == "a, b"
     assert evaluation_csv([measured]).startswith(",".join(row) + "\n")
+
+
+def test_a_name_is_no_formula_to_a_spreadsheet(measured):
+    names = ('=HYPERLINK("http://x")', "+1", "-1", "@a", "\t=1", "plain")
+    rows = [replace(measured, recognizer=name) for name in names]
+    failed = Failed(measured.dataset, "=1", "=2\n")
+    (*read, last) = csv.DictReader(evaluation_csv([*rows, failed]).splitlines())
+    assert [row["recognizer"] for row in read] == [
+        '\'=HYPERLINK("http://x")',
+        "'+1",
+        "'-1",
+        "'@a",
+        r"\t=1",
+        "plain",
+    ]
+    assert (last["recognizer"], last["failure"]) == ("'=1", r"'=2\n")

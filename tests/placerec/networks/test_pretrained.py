@@ -2,6 +2,8 @@
 import hashlib
 import os
 import threading
+import tracemalloc
+import zipfile
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -105,6 +107,25 @@ def test_pickle_that_would_run_code_is_refused(tmp_path):
     _refuse(tmp_path / "evil.pth", "alexnet", "would run code")
     np.savez(tmp_path / "evil.npz", conv1=np.array([_Evil()], dtype=object))
     _refuse(tmp_path / "evil.npz", "squeezenet", "would run code")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".pth"])
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, suffix):
+    path = tmp_path / f"bomb{suffix}"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", bytes(100 << 20))
+    tracemalloc.start()
+    _refuse(path, "alexnet", "damaged")
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 10 << 20
+
+
+def test_a_checkpoint_of_wrong_types_is_refused(tmp_path):
+    path = tmp_path / "odd.pth"
+    for odd in ({"state_dict": {1: torch.ones(1), "a": 2}}, {3: torch.ones(1)}, {"a": [1]}, 5):
+        torch.save(odd, path)
+        _refuse(path, "alexnet", "named tensors")
 
 
 def test_truncated_missing_and_foreign_files_are_refused(tmp_path):

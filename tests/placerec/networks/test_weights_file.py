@@ -124,6 +124,10 @@ def _described(**changes):
     [
         (None, "not of a place network"),
         ({"placerec": "{"}, "not of a place network"),
+        ({"placerec": "[" * 9999}, "not of a place network"),
+        (_described(size_px=[10**9, 10**9]), r"size = .* both from 1 to 4096"),
+        (_described(grid=[10**9, 1]), r"grid = .* both from 1 to 256"),
+        (_described(words=10**9), "words = 1000000000: 10000 at most"),
         (_described(min_similarity=2.0), "not of a place network"),
         (_described(more=1), "not of a place network"),
         (_described(trunk="alexnet"), "has no block 'block1'"),

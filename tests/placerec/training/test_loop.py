@@ -377,6 +377,25 @@ def test_checkpoint_of_another_training_is_refused(tmp_path):
     assert [record.step for record in records] == [3]
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"network": 5},
+        {"step": "2"},
+        {"positives": [1]},
+        {"optimizer": {}},
+        {"network": {}},
+        {"x": 1},
+    ],
+)
+def test_checkpoint_of_wrong_types_is_refused(tmp_path, change):
+    _train(tmp_path / "run", max_steps=1)
+    path = tmp_path / "run" / "checkpoint.pt"
+    torch.save(torch.load(path, weights_only=True) | change, path)
+    with pytest.raises(RecognizerError, match="remove it to start anew"):
+        _train(tmp_path / "run", max_steps=2)
+
+
 def test_damaged_checkpoint_is_refused(tmp_path):
     _train(tmp_path / "run", max_steps=2)
     path = tmp_path / "run" / "checkpoint.pt"

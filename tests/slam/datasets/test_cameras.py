@@ -61,6 +61,8 @@ def test_a_camera_whose_depth_noise_is_not_told_has_a_kinects(tmp_path: Path) ->
         ({"distortion": "[0.1, 0.2]"}, "camera key distortion"),
         ({"distortion": "[0, 0, 0, 0, 0, 0]"}, "camera key distortion"),
         ({"fx": '"wide"'}, "camera key fx = 'wide'"),
+        ({"width": "9000", "height": "9000"}, "an image of 9000x9000 pixels, more than 67"),
+        ({"depth_scale": "1e300"}, "camera key depth_scale = 1e+300"),
         ({"focal": "3"}, "no camera key focal; the keys are width, height, fx"),
         ({"depth_scale": None}, "camera key depth_scale is missing"),
         ({"width": "= ="}, "not valid TOML"),

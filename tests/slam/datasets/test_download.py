@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import errno
+import gzip
 import io
 import shutil
 import tarfile
@@ -256,6 +257,83 @@ def test_an_archive_that_reaches_out_of_its_folder_is_refused(
     assert names_in(cache_folder()) == []
     assert names_in(tmp_path) == ["cache"]
     assert not Path("/evil").exists()
+
+
+def member(name: str, kind: bytes = tarfile.REGTYPE, size: int = 0) -> bytes:
+    info = tarfile.TarInfo(name)
+    info.type, info.size = kind, size
+    return info.tobuf(tarfile.GNU_FORMAT)
+
+
+END = bytes(1024)
+SPARSE = bytearray(member(f"{NAME}/rgb.txt", tarfile.GNUTYPE_SPARSE))
+SPARSE[386:410] = b"x" * 24  # where its numbers stand
+SPARSE[148:156] = b"%06o\0 " % (256 + sum(SPARSE[:148]) + sum(SPARSE[156:]))
+
+
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        (bytes(SPARSE) + END, "removed"),
+        (member(f"{NAME}/a", tarfile.GNUTYPE_SPARSE) + END, "neither a file nor a folder"),
+        (member(f"{NAME}/{'x' * 300}") + END, "no file can have"),
+        (2 * member(f"{NAME}/rgb.txt") + END, "twice"),
+        (member(f"{NAME}/a") + member(f"{NAME}/a/b") + END, "twice"),
+        (member("x", tarfile.GNUTYPE_LONGNAME, 3 << 30) + bytes(150 << 20), "far more comes out"),
+        (member(f"{NAME}/a", size=150 << 20) + bytes(150 << 20) + END, "far more comes out"),
+        (member(f"{NAME}/a") + END + bytes(150 << 20), "far more comes out"),
+        (2000 * (member("x", tarfile.GNUTYPE_LONGNAME, 1) + bytes(512)) + END, "removed"),
+        (member("x", tarfile.XHDTYPE, 512) + b"9" * 512 + END, "removed"),
+    ],
+)
+def test_an_archive_that_is_made_to_do_harm_is_removed(
+    site: Site, members: bytes, said: str
+) -> None:
+    site.content = gzip.compress(members, 1)
+    with pytest.raises(SlamError, match=said):
+        resolve("fr1_desk")
+    assert not names_in(cache_folder())
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"200 OK\r\nContent-Length: abc\r\n\r\nxx",
+        b"200 OK\r\nContent-Length: -5\r\n\r\nxx",
+        b"200 OK\r\nContent-Length: " + b"9" * 5000 + b"\r\n\r\nxx",
+        b"206 P\r\nContent-Range: bytes " + b"9" * 5000 + b"-9/10\r\n\r\nxx",
+        b"206 P\r\nContent-Range: bytes 0-1/" + b"9" * 5000 + b"\r\n\r\nxx",
+        b"416 R\r\nContent-Range: bytes */" + b"9" * 5000 + b"\r\n\r\n",
+        b"302 F\r\nLocation: http://[::1\r\nContent-Length: 0\r\n\r\n",
+        b"302 F\r\nLocation: file:///etc/passwd\r\nContent-Length: 0\r\n\r\n",
+        b"302 F\r\nLocation: http://a b\r\nContent-Length: 0\r\n\r\n",
+        b"302 F\r\nLocation: /\xff\xfe\r\nContent-Length: 0\r\n\r\n",
+        b'200 OK\r\nETag: "\xff"\r\nContent-Length: 9\r\n\r\nxx',
+        b"999 \x1b[31m\r\n\r\n",
+        b"nonsense",
+    ],
+)
+def test_an_odd_answer_of_a_server_is_one_line(
+    site: Site, answer: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answer_oddly(handler: BaseHTTPRequestHandler) -> None:
+        handler.wfile.write(b"HTTP/1.1 " + answer)
+        handler.close_connection = True
+
+    monkeypatch.setattr(Handler, "do_GET", answer_oddly)
+    for _ in range(2):  # the second time there may be a part to go on with
+        with pytest.raises(SlamError) as caught:
+            resolve("fr1_desk")
+        assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("url", ["http://[::1", "http://" + "a" * 300, "http://a b", "http://"])
+def test_a_mirror_without_an_address_is_one_line(
+    site: Site, monkeypatch: pytest.MonkeyPatch, url: str
+) -> None:
+    monkeypatch.setenv("LOOPCLOSE_TUM_URL", url)
+    with pytest.raises(SlamError):
+        resolve("fr1_desk")
 
 
 def test_an_archive_without_a_sequence_is_refused(site: Site) -> None:

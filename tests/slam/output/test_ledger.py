@@ -194,6 +194,6 @@ def test_a_malformed_line_is_named(tmp_path, spoil, complaint):
 def test_a_ledger_that_cannot_be_read(tmp_path):
     with pytest.raises(SlamError, match="No such file or directory"):
         read_ledger(tmp_path / "absent.jsonl")
-    (tmp_path / "l").write_bytes(b"\xff\xfe")
-    with pytest.raises(SlamError, match="not a text file"):
+    (tmp_path / "l").write_bytes(b"\x80\xff")
+    with pytest.raises(SlamError, match="the loop ledger is not text"):
         read_ledger(tmp_path / "l")

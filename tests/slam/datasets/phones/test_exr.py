@@ -96,3 +96,15 @@ def test_something_else_and_nothing_are_broken(tmp_path: Path) -> None:
     assert read_exr(path) == BrokenImage(path, "No such file or directory")
     path.write_text("hello")
     assert read_exr(path) == BrokenImage(path, "not an OpenEXR image")
+
+
+def test_a_header_that_leads_back_to_itself_is_damaged(
+    tmp_path: Path, save_exr: Callable[..., None]
+) -> None:
+    path = tmp_path / "depth.exr"
+    save_exr(path, {"R": np.ones((2, 3), np.float32)})
+    content = bytearray(path.read_bytes())
+    at = content.index(b"chlist\0") + 7
+    content[at : at + 4] = (-20).to_bytes(4, "little", signed=True)
+    path.write_bytes(content)
+    assert isinstance(read_exr(path), BrokenImage)
