@@ -263,7 +263,7 @@ def _judge(
         drift = compare_drift(result, truth, arguments.settings.evaluation)
     except SlamError as error:
         return None, (f"no ATE can be given: {error}",)
-    return drift, ()
+    return drift, drift.doubts
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from placerec.datasets.tum_lists import as_numbers, read_lines, read_poses
-from slam.evaluation.trajectory import from_rows
+from slam.evaluation.trajectory import from_rows, placeable
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
@@ -48,13 +48,13 @@ def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
 
 
 def known_poses(poses: Trajectory, file: Path, warnings: list[str]) -> Trajectory | None:
-    """Return the poses that are none of NaN, or None where all are; a warning counts the others."""
-    is_known = np.isfinite(poses.T_world_cam).all(axis=(1, 2))
+    """Return the poses that a camera can have, None without any; a warning counts the others."""
+    is_known = placeable(poses)
     if is_known.all():
         return poses
     warnings.append(
-        f"{int((~is_known).sum())} of {len(poses)} poses of {file.name} hold no number, or zeros"
-        " alone; they are gaps in the ground truth"
+        f"{int((~is_known).sum())} of {len(poses)} poses of {file.name} hold no numbers that a"
+        " place can have; they are gaps in the ground truth"
     )
     return (
         Trajectory(poses.timestamps_s[is_known], poses.T_world_cam[is_known])

@@ -123,7 +123,7 @@ def test_poses_that_are_not_known_are_gaps(tiny: Path, opened: Opened, value: st
     sequence = opened(tiny)
     assert sequence.ground_truth is not None
     assert len(sequence.ground_truth) == 5
-    assert "1 of 6 poses of traj.txt hold no number" in " ".join(sequence.warnings)
+    assert "1 of 6 poses of traj.txt hold no numbers" in " ".join(sequence.warnings)
 
 
 @pytest.mark.parametrize(

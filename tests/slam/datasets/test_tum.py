@@ -151,7 +151,7 @@ def test_poses_that_are_not_known_are_gaps(
     assert sequence.ground_truth is not None
     assert sequence.ground_truth.timestamps_s.tolist() == [100.0, 100.2]
     assert sequence.ground_truth.T_world_cam[:, 0, 3].tolist() == [1.0, 2.0]
-    assert "1 of 3 poses of groundtruth.txt hold no number" in sequence.warnings[0]
+    assert "1 of 3 poses of groundtruth.txt hold no numbers" in sequence.warnings[0]
     (folder / "groundtruth.txt").write_text(f"100.1 {gap}\n")
     assert opened(folder).ground_truth is None
 
