@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import correlate
 
-from slam.evaluation.trajectory import align, associate, placeable
+from slam.evaluation.trajectory import align, associate
+from slam.evaluation.truth_gaps import without_gaps
 from slam.external_odometry.calibration import Calibration, calibrate
 from slam.external_odometry.conventions import Convention
 from slam.geometry import se3
@@ -26,7 +27,7 @@ _KNOWN_DEG, _KNOWN_M = 1.0, 0.02  # standard deviations with which a body is kno
 # another reading than the usual leaves so much less. Correlation of turning that is of one body.
 _WELL, _VAGUE, _CLEARLY, _ONE_BODY = 0.1, 0.3, 0.75, 0.9
 _UNITS = ((0.001, 1.3, "millimetres"), (0.01, 1.3, "centimetres"), (0.0254, 1.05, "inches"))
-_SCALE = 0.03  # of a path that is too long or too short
+_SCALE, _SCALE_OF_FEW = 0.03, 2.0  # of a path that is too long or short; by how many positions
 _HALF = (
     0.5  # of what is left where a path is aligned: a factor or a mirror that leaves less is real
 )
@@ -39,7 +40,7 @@ _RATE_HZ, _ALIKE = 20.0, 0.7  # turning is compared so often, and has to correla
 _LONGEST_GAP_S, _SHORTEST_S = 0.5, 5.0
 _HALF_TURNS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-_MIN_MATCHED = 3
+_MIN_MATCHED, _MIN_SCALED = 3, 15  # positions that an alignment needs, and a factor
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,9 @@ def camera_truth(estimate: Trajectory, truth: Trajectory, tolerance_s: float) ->
     Raises:
         SlamError: the ground truth has no pose that is one, or does not move where the camera does.
     """
-    known, doubts = _finite(truth)
+    if len(truth) < _MIN_MATCHED or len(estimate) < _MIN_MATCHED:
+        return CameraTruth(truth)
+    known, doubts = without_gaps(truth, estimate)
     if _is_still(known) and not _is_still(estimate, _MOVING_M):
         raise SlamError(
             "the ground truth stays in one place, while the images show that the camera moves; is"
@@ -81,18 +84,6 @@ def camera_truth(estimate: Trajectory, truth: Trajectory, tolerance_s: float) ->
         found = _read(estimate, known)
     placed = _placed(estimate, found, tolerance_s)
     return replace(placed, doubts=(*doubts, *placed.doubts))
-
-
-def _finite(truth: Trajectory) -> tuple[Trajectory, list[str]]:
-    is_known = placeable(truth)
-    if is_known.all() and len(truth):
-        return truth, []
-    if not is_known.any():
-        raise SlamError("the ground truth holds no poses in numbers that a place can have")
-    lost = f"{(~is_known).sum()} of {len(truth)} true poses are in no numbers that a place can have"
-    return Trajectory(truth.timestamps_s[is_known], truth.T_world_cam[is_known]), [
-        f"{lost}; they are gaps in the ground truth"
-    ]
 
 
 def _is_still(trajectory: Trajectory, extent_m: float = _STILL_M) -> bool:
@@ -265,7 +256,9 @@ def _placed(estimate: Trajectory, found: CameraTruth, tolerance_s: float) -> Cam
     if unjudged:
         doubts.append(f"{unjudged}; it cannot say whether loops are right, nor relative errors")
     scale = similar.scale / unit
-    is_off = abs(scale - 1.0) > _SCALE and similar.left_m < _HALF * rigid.left_m
+    least = _SCALE + _SCALE_OF_FEW / len(path_m)
+    is_off = abs(scale - 1.0) > least and similar.left_m < _HALF * rigid.left_m
+    is_off &= similar.left_m < _HALF * similar.extent_m and len(path_m) >= _MIN_SCALED
     is_off &= unjudged in ("", _POSITIONS_ALONE)
     trajectory = Trajectory(found.trajectory.timestamps_s, T).enlarged(unit)
     return CameraTruth(trajectory, tuple(doubts), unjudged, scale if is_off else 1.0)
