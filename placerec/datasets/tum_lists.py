@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 POSE_COLUMNS = "timestamp tx ty tz qx qy qz qw"
 _SEPARATOR = re.compile(r"[\s,]+")
 _MIN_QUATERNION_NORM = 1e-6
+_LARGEST = 1e12  # of what a pose holds, in whatever unit
 _NO_NUMBER = re.compile(r"^[-+]?(nan.*|1\.#.*|none|null|n/a)$", re.IGNORECASE)
 
 
@@ -57,7 +58,12 @@ def read_poses(file: Path, *, with_gaps: bool = False) -> Iterator[tuple[int, li
             raise LoopcloseError(
                 f'line {number} is not "{POSE_COLUMNS}" in finite numbers: {line!r}: {file}'
             )
-        if np.linalg.norm(pose[4:]) < _MIN_QUATERNION_NORM:
+        largest = max(map(abs, pose[4:]))
+        if largest > _LARGEST:
+            raise LoopcloseError(
+                f"line {number} has a quaternion that is far from length one: {line!r}: {file}"
+            )
+        if largest < _MIN_QUATERNION_NORM:
             raise LoopcloseError(f"line {number} has a quaternion of length zero: {line!r}: {file}")
         yield number, pose
 
@@ -71,7 +77,7 @@ def _gap(line: str) -> list[float] | None:
         return None
     if len(values) != 7 or not np.isfinite(stamp_s):
         return None
-    is_known = np.isfinite(values).all() and any(values[3:])
+    is_known = all(abs(value) < _LARGEST for value in values) and any(values[3:])
     return None if is_known else [stamp_s, *[np.nan] * 7]
 
 

@@ -22,7 +22,9 @@ from slam.types import FloatArray, SlamError, Trajectory
 _STEPS, _STEP_S, _PIECES, _PIECE = 100, 0.2, 10, 50
 # What is smaller is not worth a word, and less than so many standard deviations may be chance.
 _ROTATION_DEG, _ARM_M, _OFFSET_S, _SIGMAS = 2.0, 0.03, 0.02, 4.0
-_KNOWN_DEG, _KNOWN_M = 1.0, 0.02  # standard deviations with which a body is known well enough
+# Standard deviations with which a body is known well enough: of turning, and of the way that the
+# camera makes on its arm when it turns, by no more than so much.
+_KNOWN_DEG, _KNOWN_M, _MOST_TURNED = 1.0, 0.02, 2.0
 # What is left of the motions, as a share of them: less is well, more has nothing to do with them;
 # another reading than the usual leaves so much less. Correlation of turning that is of one body.
 _WELL, _VAGUE, _CLEARLY, _ONE_BODY = 0.1, 0.3, 0.75, 0.9
@@ -120,7 +122,8 @@ def _read(estimate: Trajectory, known: Trajectory) -> CameraTruth:
             return CameraTruth(known)
         reason = "the ground truth does not turn and move as the camera does, however it is read"
         return CameraTruth(known, (), reason)
-    return _as_found(known, best, before, words)
+    turned = min(float(np.radians(_turned_deg(estimate))), _MOST_TURNED)
+    return _as_found(known, best, before, words, turned)
 
 
 def _mirrored_least(known: Trajectory, found: Calibration) -> tuple[Trajectory, Calibration]:
@@ -147,7 +150,7 @@ def _pieces(estimate: Trajectory) -> list[Trajectory]:
 
 
 def _as_found(
-    known: Trajectory, found: Calibration, before: float, words: list[str]
+    known: Trajectory, found: Calibration, before: float, words: list[str], turned: float
 ) -> CameraTruth:
     """Return the poses as they have to be read, with what differs from poses of the camera."""
     best, sigma_m = found.convention, found.hand_eye.arm_sigma_m
@@ -159,7 +162,7 @@ def _as_found(
     arm_m = float(se3.translation_norm(T_base_cam))
     is_of_another = turned_deg > max(_ROTATION_DEG, _SIGMAS * sigma_deg)
     is_of_another |= arm_m > max(_ARM_M, _SIGMAS * sigma_m)
-    is_known = sigma_deg <= _KNOWN_DEG and sigma_m <= _KNOWN_M
+    is_known = sigma_deg <= _KNOWN_DEG and sigma_m * turned <= _KNOWN_M
     if not is_of_another and not is_known and found.misfit < _HALF * before:
         return CameraTruth(known, (), _UNKNOWN_BODY)
     words = list(words)

@@ -137,6 +137,9 @@ def test_ground_truth_is_poses_of_the_camera(make_folder: MakeFolder) -> None:
         "nan nan nan nan nan nan nan",
         "0 0 0 0 0 0 0",
         "0 0 inf 0 0 0 1",
+        "1 0 0 0 0 0 nan",
+        "1 0 0 0 0 1e200 0",
+        "1e13 0 0 0 0 0 1",
         "1.#QNAN 0 0 0 0 0 -nan(ind)",
     ],
 )
