@@ -280,7 +280,7 @@ def _judge(
         drift = compare_drift(result, truth, arguments.settings.evaluation)
     except SlamError as error:
         return None, (f"no ATE can be given: {error}",)
-    return drift, ()
+    return drift, drift.doubts
 
 
 if __name__ == "__main__":

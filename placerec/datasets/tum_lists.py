@@ -13,11 +13,11 @@ from placerec.errors import LoopcloseError
 from placerec.files import read_text
 
 FloatArray = NDArray[np.float64]
-_MAX_QUATERNION_NORM = 1e6
-
 POSE_COLUMNS = "timestamp tx ty tz qx qy qz qw"
 _SEPARATOR = re.compile(r"[\s,]+")
-_MIN_QUATERNION_NORM = 1e-6
+_MIN_QUATERNION_NORM, _MAX_QUATERNION_NORM = 1e-6, 1e6
+_LARGEST = 1e12  # of what a pose holds, in whatever unit
+_NO_NUMBER = re.compile(r"^[-+]?(nan.*|1\.#.*|none|null|n/a)$", re.IGNORECASE)
 
 
 def read_images(file: Path) -> tuple[FloatArray, list[Path]]:
@@ -40,14 +40,20 @@ def read_images(file: Path) -> tuple[FloatArray, list[Path]]:
     return np.array(stamps_s), paths
 
 
-def read_poses(file: Path) -> Iterator[tuple[int, list[float]]]:
+def read_poses(file: Path, *, with_gaps: bool = False) -> Iterator[tuple[int, list[float]]]:
     """Yield (line number, POSE_COLUMNS): seconds, metres and a quaternion not of length zero.
+
+    With gaps, a pose that holds no number, or a quaternion of zeros, is one of NaN: so tools write
+    that they did not see what they follow.
 
     Raises:
         LoopcloseError: the file cannot be read, or a line is something else.
     """
     for number, line in read_lines(file):
         pose = as_numbers(line)
+        if with_gaps and (gap := _gap(line)):
+            yield number, gap
+            continue
         if pose is None or len(pose) != 8:
             raise LoopcloseError(
                 f'line {number} is not "{POSE_COLUMNS}" in finite numbers: {line!r}: {file}'
@@ -59,6 +65,19 @@ def read_poses(file: Path) -> Iterator[tuple[int, list[float]]]:
                 f"line {number} has a quaternion of length {size}: {line!r}: {file}"
             )
         yield number, pose
+
+
+def _gap(line: str) -> list[float] | None:
+    """Return the row of a pose that is not known, None where the line is something else."""
+    fields = [_NO_NUMBER.sub("nan", field) for field in line.replace(",", " ").split()]
+    try:
+        stamp_s, *values = (float(field) for field in fields)
+    except ValueError:
+        return None
+    if len(values) != 7 or not np.isfinite(stamp_s):
+        return None
+    is_known = all(abs(value) < _LARGEST for value in values) and any(values[3:])
+    return None if is_known else [stamp_s, *[np.nan] * 7]
 
 
 def read_lines(file: Path) -> Iterator[tuple[int, str]]:

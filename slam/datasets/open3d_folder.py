@@ -16,7 +16,7 @@ from slam.config import InputConfig
 from slam.datasets.cameras import UNITS_PER_M, named_camera, read_intrinsics, rescaled
 from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs, read_size
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import in_order, read_pose_log
+from slam.datasets.true_poses import in_order, known_poses, read_pose_log
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
 _COLOR_FOLDERS = ("color", "rgb", "image")
@@ -47,7 +47,7 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
         path.resolve().name,
         rescaled(named_camera(path, config) or _own_camera(path, images, warnings), config),
         images,
-        ground_truth=_read_truth(log, images) if log.is_file() else None,
+        ground_truth=_read_truth(log, images, warnings) if log.is_file() else None,
         warnings=tuple(warnings),
     )
 
@@ -81,7 +81,7 @@ def _own_camera(path: Path, images: list[ImagePair], warnings: list[str]) -> Cam
     return PRIMESENSE
 
 
-def _read_truth(log: Path, images: list[ImagePair]) -> Trajectory:
+def _read_truth(log: Path, images: list[ImagePair], warnings: list[str]) -> Trajectory | None:
     """Return the poses with the times of their images: one for each, or of those they count."""
     poses = read_pose_log(log)
     frames = [frame for frame, _ in poses]
@@ -93,7 +93,8 @@ def _read_truth(log: Path, images: list[ImagePair]) -> Trajectory:
             f" which is whose; remove the file to run without ground truth: {log}"
         )
     stamps_s: FloatArray = np.array([images[frame].timestamp_s for frame in frames])
-    return Trajectory(stamps_s, np.array([T for _, T in poses]))
+    truth = Trajectory(stamps_s, np.array([T for _, T in poses]))
+    return known_poses(truth, log, warnings)
 
 
 _SEPARATOR = re.compile(r"[\s,;]+")

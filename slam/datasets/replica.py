@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from placerec.datasets.tum_lists import as_numbers, read_lines
+from placerec.datasets.tum_lists import read_lines
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, read_intrinsics, rescaled
 from slam.datasets.images import FRAMES_PER_S, numbered_images
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import rigid
+from slam.datasets.true_poses import known_poses, rigid_or_gap
 from slam.types import Camera, SlamError, Trajectory
 
 CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5, depth_scale=6553.5)
@@ -39,7 +39,9 @@ def open_replica(path: Path, config: InputConfig) -> Sequence:
             ImagePair(number / FRAMES_PER_S, color, _depth_of(color))
             for number, color in colors.items()
         ],
-        ground_truth=_read_truth(trajectory, list(colors)) if trajectory.is_file() else None,
+        ground_truth=_read_truth(trajectory, list(colors), warnings)
+        if trajectory.is_file()
+        else None,
         warnings=tuple(warnings),
     )
 
@@ -61,16 +63,17 @@ def _own_camera(path: Path, warnings: list[str]) -> Camera:
     return CAMERA
 
 
-def _read_truth(file: Path, numbers: list[int]) -> Trajectory:
+def _read_truth(file: Path, numbers: list[int], warnings: list[str]) -> Trajectory | None:
     """Read T_world_cam, 16 numbers by rows, a line per frame; of numbered images, if some left."""
     poses = []
     for line_number, line in read_lines(file):
-        values = as_numbers(line)
-        if values is None or len(values) != 16:
+        try:
+            T = np.array(line.replace(",", " ").split(), dtype=np.float64).reshape(4, 4)
+        except ValueError as error:
             raise SlamError(
-                f"line {line_number} is not a pose, 4 x 4 finite numbers: {line!r}: {file}"
-            )
-        poses.append(rigid(np.reshape(values, (4, 4)), f"the pose of line {line_number}", file))
+                f"line {line_number} is not a pose, 4 x 4 numbers: {line!r}: {file}"
+            ) from error
+        poses.append(rigid_or_gap(T, f"the pose of line {line_number}", file))
     if len(poses) == len(numbers):
         used = poses
     elif numbers[-1] < len(poses):  # images were left out: they keep their lines
@@ -80,4 +83,5 @@ def _read_truth(file: Path, numbers: list[int]) -> Trajectory:
             f"there are {len(poses)} poses for {len(numbers)} images, the last of which has the"
             f" number {numbers[-1]}; remove the file to run without ground truth: {file}"
         )
-    return Trajectory(np.array(numbers) / FRAMES_PER_S, np.array(used))
+    truth = Trajectory(np.array(numbers) / FRAMES_PER_S, np.array(used))
+    return known_poses(truth, file, warnings)

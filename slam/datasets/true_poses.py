@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from placerec.datasets.tum_lists import as_numbers, read_lines, read_poses
-from slam.evaluation.trajectory import from_rows
+from slam.evaluation.trajectory import from_rows, placeable
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
@@ -33,22 +33,40 @@ _MAX_SKEW = 1e-2  # files with few digits are no exact rotations; a scale or a s
 def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
     """Read a pose per line, `timestamp tx ty tz qx qy qz qw`, or None where there is no line.
 
+    Lines that say that the pose is not known are gaps.
+
     Raises:
-        LoopcloseError: a line is no pose in finite numbers.
+        LoopcloseError: a line is no pose.
     """
-    rows = [pose for _, pose in read_poses(file)]
+    rows = [pose for _, pose in read_poses(file, with_gaps=True)]
     if not rows:
         warnings.append(f"{file.name} holds no pose, so there is no ground truth")
         return None
     table = np.array(rows)
     table = table[in_order(table[:, 0], file, warnings)]
-    return from_rows(table)
+    return known_poses(from_rows(table), file, warnings)
+
+
+def known_poses(poses: Trajectory, file: Path, warnings: list[str]) -> Trajectory | None:
+    """Return the poses that a camera can have, None without any; a warning counts the others."""
+    is_known = placeable(poses)
+    if is_known.all():
+        return poses
+    warnings.append(
+        f"{int((~is_known).sum())} of {len(poses)} poses of {file.name} hold no numbers that a"
+        " place can have; they are gaps in the ground truth"
+    )
+    return (
+        Trajectory(poses.timestamps_s[is_known], poses.T_world_cam[is_known])
+        if (is_known.any())
+        else None
+    )
 
 
 def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) -> Trajectory | None:
     """Read a (4, 4) matrix per file, given with its time, or None where no frame has a pose.
 
-    A file that is missing, or holds -inf, means that the pose is not known.
+    A file that is missing, or holds no number or zeros alone, means that the pose is not known.
 
     Raises:
         LoopcloseError: a file holds something else than a rigid pose.
@@ -58,19 +76,28 @@ def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) ->
     unknown = 0
     for timestamp_s, file in files:
         T = read_matrix(file) if file.is_file() else None
-        if T is None or np.isneginf(T).any():
+        if T is None or is_gap(T):
             unknown += 1
             continue
         stamps_s.append(timestamp_s)
         T_world_cam.append(rigid(T, "the pose", file))
     if unknown:
         total = unknown + len(stamps_s)
-        warnings.append(f"{unknown} of {total} frames have no true pose (no file, or -inf in it)")
+        warnings.append(
+            f"{unknown} of {total} frames have no true pose (no file, or no number in it)"
+        )
     return Trajectory(np.array(stamps_s), np.array(T_world_cam)) if stamps_s else None
+
+
+def is_gap(T: FloatArray) -> bool:
+    """Return whether a (4, 4) matrix says that the pose is not known: no numbers, or all zeros."""
+    return not np.isfinite(T).all() or not T[:3].any()
 
 
 def read_pose_log(file: Path) -> list[tuple[int, FloatArray]]:
     """Read (frame number, T_world_cam) from a .log: a line `i j k`, then a (4, 4) matrix each.
+
+    One that is not known is of NaN.
 
     Raises:
         LoopcloseError: a block is not complete, or is no rigid pose.
@@ -82,17 +109,18 @@ def read_pose_log(file: Path) -> list[tuple[int, FloatArray]]:
         if head is None or len(head) != 3 or head[0] != int(head[0]):
             raise SlamError(f'line {number} is not "i j k", whole numbers: {line!r}: {file}')
         T = _next_matrix(lines, number, file)
-        poses.append((int(head[0]), rigid(T, f"the pose after line {number}", file)))
+        poses.append((int(head[0]), rigid_or_gap(T, f"the pose after line {number}", file)))
     return poses
 
 
 def _next_matrix(lines: Iterator[tuple[int, str]], after: int, file: Path) -> FloatArray:
-    rows = [as_numbers(line) for _, (_, line) in zip(range(4), lines, strict=False)]
-    if len(rows) != 4 or any(row is None or len(row) != 4 for row in rows):
+    rows = [line.split() for _, (_, line) in zip(range(4), lines, strict=False)]
+    try:
+        return np.array(rows, dtype=np.float64).reshape(4, 4)
+    except ValueError as error:
         raise SlamError(
-            f"after line {after} there are not four rows of four finite numbers, a pose: {file}"
-        )
-    return np.array(rows, dtype=np.float64)
+            f"after line {after} there are not four rows of four numbers, a pose: {file}"
+        ) from error
 
 
 def read_matrix(file: Path, size: int = 4) -> FloatArray:
@@ -109,6 +137,15 @@ def read_matrix(file: Path, size: int = 4) -> FloatArray:
     if len(values) != size**2:
         raise SlamError(f"the file does not hold a matrix of {size} x {size} numbers: {file}")
     return np.array(values).reshape(size, size)
+
+
+def rigid_or_gap(T_a_b: FloatArray, what: str, file: Path) -> FloatArray:
+    """Return the same as `rigid`, and NaN where the pose is not known.
+
+    Raises:
+        SlamError: it is neither.
+    """
+    return np.full((4, 4), np.nan) if is_gap(T_a_b) else rigid(T_a_b, what, file)
 
 
 def rigid(T_a_b: FloatArray, what: str, file: Path) -> FloatArray:

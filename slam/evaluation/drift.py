@@ -2,12 +2,13 @@
 """How far a run is from the truth: ATE and RPE of its trajectories, NEES of its motions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from placerec.datasets.tum_lists import nearest
 from slam.config import EvaluationConfig
+from slam.evaluation.camera_truth import camera_truth
 from slam.evaluation.motion_truth import LoopTruth, judge_links, judge_loops
 from slam.evaluation.trajectory import align, associate, path_length_m
 from slam.geometry import se3
@@ -55,6 +56,10 @@ class DriftReport:
         coverage: share of the sequence's time span that ground truth covers.
         rpe_interval_s: interval of the relative pose error.
         truth_length_m: length of the true path over the compared frames.
+        truth: the true poses of the camera that all was compared with.
+        doubts: what a user should know of the ground truth, one sentence each.
+        unjudged: why ground truth cannot say whether loops are right, nor tell relative errors and
+            the NEES; empty where it can.
     """
 
     odometry: TrajectoryError
@@ -68,6 +73,9 @@ class DriftReport:
     coverage: float
     rpe_interval_s: float
     truth_length_m: float
+    truth: Trajectory
+    doubts: tuple[str, ...] = ()
+    unjudged: str = ""
 
     @property
     def median_links_nees(self) -> float:
@@ -131,25 +139,64 @@ def trajectory_error(
 def compare_drift(result: SlamResult, truth: Trajectory, config: EvaluationConfig) -> DriftReport:
     """Measure the drift of a run, and judge all motions that it measured between keyframes.
 
+    Truth of another body, clock, unit or order than the camera's is read as what it is where that
+    is well known; where it says nothing of how the camera turned, nothing is judged by that.
+
     Raises:
-        SlamError: fewer than three poses match ground truth in time.
+        SlamError: fewer than three poses match ground truth in time, or it stays in one place.
     """
+    found = camera_truth(result.corrected, truth, config.max_time_difference_s)
+    truth = found.trajectory
     _, in_truth = associate(result.odometry, truth, config.max_time_difference_s)
     compared = Trajectory(truth.timestamps_s[in_truth], truth.T_world_cam[in_truth])
     starts_s = result.session_starts_s
     is_smoothed = result.unsmoothed is not None
-    return DriftReport(
+    drift = DriftReport(
         odometry=trajectory_error(result.odometry, truth, config),
         live=_error_of_some(result.live, truth, config),
         without_loops=trajectory_error(result.without_loops, truth, config),
         corrected=trajectory_error(result.corrected, truth, config),
         smoothed=trajectory_error(result.trajectory, truth, config) if is_smoothed else None,
-        loops=judge_loops(result.attempts, result.keyframes, truth, config),
+        # A path that is too long has no wrong loops for that.
+        loops=judge_loops(result.attempts, result.keyframes, truth.enlarged(found.scale), config),
         links_nees=judge_links(result.links, result.keyframes, truth, config),
         tolerance_s=config.max_time_difference_s,
         coverage=coverage(result.odometry, truth, starts_s),
         rpe_interval_s=config.rpe_interval_s,
         truth_length_m=sum(path_length_m(each) for each in _sessions(compared, starts_s)),
+        truth=truth,
+        doubts=(*found.doubts, *_doubts_about_scale(found.scale, result.camera.depth_scale)),
+        unjudged=found.unjudged,
+    )
+    return _without_relative(drift) if found.unjudged else drift
+
+
+def _doubts_about_scale(scale: float, depth_scale: float) -> tuple[str, ...]:
+    if scale == 1.0:
+        return ()
+    return (
+        f"the estimated path is {scale:.3g} times as long as the true one: if the ground truth is"
+        f" in metres, {scale * depth_scale:.4g} depth units per metre would fit instead of"
+        f" {depth_scale:g} (--input.depth-scale); errors are as the paths are, but loops were"
+        " compared with a truth made as long",
+    )
+
+
+def _without_relative(drift: DriftReport) -> DriftReport:
+    """Return the same without what depends on how the camera turned in truth."""
+
+    def positions_alone(error: TrajectoryError) -> TrajectoryError:
+        return replace(error, rpe_translation_m=np.nan, rpe_rotation_deg=np.nan)
+
+    return replace(
+        drift,
+        odometry=positions_alone(drift.odometry),
+        live=drift.live and positions_alone(drift.live),
+        without_loops=positions_alone(drift.without_loops),
+        corrected=positions_alone(drift.corrected),
+        smoothed=drift.smoothed and positions_alone(drift.smoothed),
+        loops=tuple(LoopTruth() for _ in drift.loops),
+        links_nees=np.full_like(drift.links_nees, np.nan),
     )
 
 

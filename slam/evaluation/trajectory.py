@@ -4,11 +4,14 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from placerec.datasets.tum_lists import POSE_COLUMNS, nearest, read_poses
 from placerec.files import write_atomically
 from slam.geometry import se3
 from slam.types import FloatArray, IntArray, SlamError, Trajectory
+
+_FARTHEST = 1e12  # no distance on Earth is larger, in whatever unit
 
 
 def read_tum(path: Path) -> Trajectory:
@@ -54,6 +57,11 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     for timestamp_s, pose in zip(trajectory.timestamps_s, poses.tolist(), strict=True):
         lines.append(" ".join([f"{timestamp_s:.6f}", *(f"{value:.9f}" for value in pose)]))
     write_atomically(path, "\n".join(lines) + "\n")
+
+
+def placeable(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """Return (N,) whether poses hold numbers that a place can have; others overflow, or are NaN."""
+    return np.asarray((np.abs(trajectory.T_world_cam) < _FARTHEST).all(axis=(1, 2)))
 
 
 def associate(a: Trajectory, b: Trajectory, tolerance_s: float) -> tuple[IntArray, IntArray]:

@@ -75,19 +75,19 @@ def read(config: OdometryConfig, found: Calibration | None) -> Reading:
     drift = _scale_drift(found)
     if found.misfit > _BETTER * found.misfit_before:
         return Reading(asked, drift)
-    used, sentences = asked, list[str]()
-    for part in (_direction, _frame, _clock, _scale):
-        sentences += part(config, found, asked)
+    used, best = asked, found.convention
+    direction, frame, clock, scale = (
+        part(config, found, asked) for part in (_direction, _frame, _clock, _scale)
+    )
     if config.T_base_cam == "auto":
-        best = found.convention
         used = replace(used, is_inverted=best.is_inverted, is_w_first=best.is_w_first)
-        if _frame(config, found, asked):
+        if frame:
             used = replace(used, T_base_cam=best.T_base_cam)
-    if config.time_offset_s == "auto" and _clock(config, found, asked):
-        used = replace(used, time_offset_s=found.convention.time_offset_s)
-    if config.scale == "auto" and _scale(config, found, asked):
-        used = replace(used, scale=found.convention.scale)
-    return Reading(used, (*sentences, *drift))
+    if config.time_offset_s == "auto" and clock:
+        used = replace(used, time_offset_s=best.time_offset_s)
+    if config.scale == "auto" and scale:
+        used = replace(used, scale=best.scale)
+    return Reading(used, (*direction, *frame, *clock, *scale, *drift))
 
 
 def _foreign(found: Calibration) -> str | None:

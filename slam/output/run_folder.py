@@ -92,6 +92,7 @@ def write_run(
     write_tum(folder / "keyframes.txt", keyframes)
     if result.given:
         _write_given(folder, result.given, pose_file)
+    truth = drift.truth if drift else truth  # as it was compared with
     if truth is not None:
         write_tum(folder / "groundtruth.txt", truth)
     write_ledger(folder / "loops.jsonl", result, drift)

@@ -28,7 +28,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
-      are off by more than the limits.
+      are off by more than the limits, None where it says nothing of how the camera turned.
     - min_similarity: the one from which candidates were verified.
     - certificate: what the recognizer was calibrated on, its curve apart; None without one.
     - frames_live: those of the tracked of which was known when they came where they are.
@@ -69,7 +69,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "loops_accepted": len(rejections) - len(reasons),
         "loops_outvoted": reasons.count(RejectionReason.OUTVOTED),
         "loops_judged": len(verdicts) if drift else None,
-        "loops_false": sum(verdicts) if drift else None,
+        "loops_false": sum(verdicts) if drift and not drift.unjudged else None,
         "min_similarity": result.min_similarity,
         "certificate": calibration.certificate.model_dump(mode="json", exclude={"curve"})
         if calibration
@@ -156,7 +156,9 @@ def _origin(result: SlamResult) -> str:
 
 def _drift_rows(drift: DriftReport) -> list[tuple[str, str]]:
     first, last, live = drift.odometry, drift.corrected, drift.live
-    if math.isnan(first.rpe_translation_m) or math.isnan(last.rpe_translation_m):
+    if drift.unjudged:
+        rpe = f"unknown: {drift.unjudged}"
+    elif math.isnan(first.rpe_translation_m) or math.isnan(last.rpe_translation_m):
         rpe = f"unknown: no two compared frames are {drift.rpe_interval_s:g} s apart"
     else:
         rpe = (

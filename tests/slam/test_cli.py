@@ -276,7 +276,7 @@ def test_a_folder_that_is_no_recording(run_slam, tmp_path):
         ("depth.txt", lambda lines: [*lines, "soon depth/1.png"], "line 5"),
         ("depth.txt", lambda lines: [f"9{line}" for line in lines], "close enough in time"),
         ("groundtruth.txt", lambda lines: [*lines, "1 2 3"], "line 61"),
-        ("groundtruth.txt", lambda lines: ["100 0 0 0 0 0 0 0"], "length zero"),
+        ("groundtruth.txt", lambda lines: ["100 0 0 0 0 0 0 1e-9"], "length zero"),
         ("camera.toml", lambda lines: ["fx = "], "not valid TOML"),
         ("camera.toml", lambda lines: [*lines[2:]], "is missing"),
         ("camera.toml", lambda lines: [*lines[1:], "width = 640"], "320x240"),

@@ -100,7 +100,9 @@ def _loops(drift: DriftReport | None, loops: list[Decision]) -> str:
     kept = kinds[ACCEPTED] + kinds[FALSE]
     candidates = f"{len(loops)} candidate" + ("" if len(loops) == 1 else "s")
     text = f"{kept} of {candidates} {'was' if kept == 1 else 'were'} accepted"
-    if kept and drift is not None:
+    if kept and drift is not None and drift.unjudged:
+        text += f"; which of them are false is not known: {drift.unjudged}"
+    elif kept and drift is not None:
         text += f", {kinds[FALSE] or 'none'} of them false"
         judged = sum(loop.truth is not None and loop.truth.is_false is not None for loop in loops)
         if judged < kept:

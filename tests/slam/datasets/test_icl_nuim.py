@@ -127,9 +127,9 @@ def test_an_empty_list_is_named(tiny: Callable[..., Path], fails: Fails) -> None
     fails(folder, "the list names no image")
 
 
-def test_a_pose_that_is_not_finite_is_named(tiny: Callable[..., Path], fails: Fails) -> None:
+def test_a_pose_that_is_none_is_named(tiny: Callable[..., Path], fails: Fails) -> None:
     folder = tiny()
-    (folder / "traj0.gt.freiburg").write_text("1 0 0 nan 0 0 0 1\n")
+    (folder / "traj0.gt.freiburg").write_text("1 0 0 zero 0 0 0 1\n")
     assert fails(folder, "line 1 is not").endswith("traj0.gt.freiburg")
 
 

@@ -167,7 +167,7 @@ def test_poses_that_could_be_anyones_are_refused(
         (["0.5 0 1"], 'line 1 is not "i j k"'),
         (["0 0 1", "1 0 0 0", "0 1 0 0", "0 0 1 0"], "after line 1 there are not four rows"),
         (["0 0 1", "1 0 0 0", "0 1 0", "0 0 1 0", "0 0 0 1"], "after line 1"),
-        (["0 0 1", "1 0 0 0", "0 1 0 nan", "0 0 1 0", "0 0 0 1"], "finite numbers, a pose"),
+        (["0 0 1", "1 0 0 0", "0 1 0 x", "0 0 1 0", "0 0 0 1"], "four numbers, a pose"),
         (["0 0 1", "1 0 0 0", "0 1 0 0", "0 0 9 0", "0 0 0 1"], "after line 1 is no rotation"),
     ],
 )
@@ -176,6 +176,16 @@ def test_a_malformed_trajectory_is_named(
 ) -> None:
     (tiny / "trajectory.log").write_text("\n".join(lines) + "\n")
     assert fails(tiny, said).endswith("trajectory.log")
+
+
+def test_poses_that_are_not_known_are_gaps(tiny: Path, opened: Opened) -> None:
+    known = [f"{i} {i} {i + 1}\n1 0 0 {i}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n" for i in range(6)]
+    known[2] = "2 2 3\n" + 4 * "nan nan nan nan\n"
+    (tiny / "trajectory.log").write_text("".join(known))
+    sequence = opened(tiny)
+    assert sequence.ground_truth is not None
+    assert sequence.ground_truth.T_world_cam[:, 0, 3].tolist() == [0, 1, 3, 4, 5]
+    assert "1 of 6 poses of trajectory.log hold no numbers" in " ".join(sequence.warnings)
 
 
 @pytest.fixture(scope="module")

@@ -116,13 +116,23 @@ def test_a_recording_without_a_trajectory_has_no_truth(tiny: Path, opened: Opene
     assert opened(tiny).ground_truth is None
 
 
+@pytest.mark.parametrize("value", ["nan", "0"])
+def test_poses_that_are_not_known_are_gaps(tiny: Path, opened: Opened, value: str) -> None:
+    gap = " ".join([value] * 16)
+    (tiny / "traj.txt").write_text(f"{IDENTITY}{gap}\n{4 * IDENTITY}")
+    sequence = opened(tiny)
+    assert sequence.ground_truth is not None
+    assert len(sequence.ground_truth) == 5
+    assert "1 of 6 poses of traj.txt hold no numbers" in " ".join(sequence.warnings)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("", "there are 0 poses for 6 images"),
         (5 * IDENTITY, "there are 5 poses for 6 images, the last of which has the number 5"),
-        (5 * IDENTITY + "1 0 0 0 0 1 0 0 0 0 1 0\n", "line 6 is not a pose, 4 x 4 finite numbers"),
-        (IDENTITY + IDENTITY.replace("1", "nan") * 5, "line 2 is not a pose"),
+        (5 * IDENTITY + "1 0 0 0 0 1 0 0 0 0 1 0\n", "line 6 is not a pose, 4 x 4 numbers"),
+        (IDENTITY + IDENTITY.replace("1", "one") * 5, "line 2 is not a pose"),
         (IDENTITY + IDENTITY.replace("1 0", "2 0") * 5, "the pose of line 2 is no rotation"),
     ],
 )

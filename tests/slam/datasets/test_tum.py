@@ -132,13 +132,42 @@ def test_ground_truth_is_poses_of_the_camera(make_folder: MakeFolder) -> None:
 
 
 @pytest.mark.parametrize(
+    "gap",
+    [
+        "nan nan nan nan nan nan nan",
+        "0 0 0 0 0 0 0",
+        "0 0 inf 0 0 0 1",
+        "1 0 0 0 0 0 nan",
+        "1 0 0 0 0 1e200 0",
+        "1e13 0 0 0 0 0 1",
+        "1.#QNAN 0 0 0 0 0 -nan(ind)",
+    ],
+)
+def test_poses_that_are_not_known_are_gaps(
+    make_folder: MakeFolder, gap: str, opened: Opened
+) -> None:
+    folder = make_folder()
+    (folder / "groundtruth.txt").write_text(
+        f"100.0 1 0 0 0 0 0 1\n100.1 {gap}\n100.2 2 0 0 0 0 0 1\n"
+    )
+    sequence = opened(folder)
+    assert sequence.ground_truth is not None
+    assert sequence.ground_truth.timestamps_s.tolist() == [100.0, 100.2]
+    assert sequence.ground_truth.T_world_cam[:, 0, 3].tolist() == [1.0, 2.0]
+    assert "1 of 3 poses of groundtruth.txt hold no numbers" in sequence.warnings[0]
+    (folder / "groundtruth.txt").write_text(f"100.1 {gap}\n")
+    assert opened(folder).ground_truth is None
+
+
+@pytest.mark.parametrize(
     ("line", "said"),
     [
         ("100.1 0 0 0 0 0 1", "line 2 is not"),
         ("100.1 0 0 0 0 0 0 1 9", "line 2 is not"),
         ("100.1 x 0 0 0 0 0 1", "line 2 is not"),
-        ("100.1 nan 0 0 0 0 0 1", "line 2 is not"),
-        ("100.1 0 0 0 0 0 0 0", "line 2 has a quaternion of length zero"),
+        ("nan 0 0 0 0 0 0 1", "line 2 is not"),
+        ("100.1 nan 0 0 0 0 1", "line 2 is not"),
+        ("100.1 0 0 0 0 0 0 1e-9", "line 2 has a quaternion of length zero"),
     ],
 )
 def test_malformed_ground_truth_is_named_with_its_line(

@@ -233,6 +233,58 @@ def test_medians_are_of_links_and_accepted_loops_that_truth_covers():
     assert math.isnan(nothing.median_links_nees) and math.isnan(nothing.median_loops_nees)
 
 
+def with_right_loops(path):
+    """A run that has a right loop from each pose to the one 20 before."""
+    loops = [
+        LoopAttempt(k, k - 20, 0.9, None, RelativePose(T_match_query, np.eye(6)))
+        for k in range(20, len(path))
+        for T_match_query in [se3.inverse(path.T_world_cam[k - 20]) @ path.T_world_cam[k]]
+    ]
+    links = (Link(0, 20, loops[0].motion),)
+    return result(path, attempts=tuple(loops), links=links)
+
+
+def hand_held():
+    stamps_s = np.arange(0.0, 20.0, 0.2)
+    rates = np.array([0.9, 0.7, 1.3, 0.5, 0.8, 0.3])
+    return Trajectory(stamps_s, se3.exp(0.7 * np.sin(np.outer(stamps_s, rates) + np.arange(6.0))))
+
+
+def test_loops_of_a_perfect_run_are_not_false_by_the_truth_of_a_body():
+    path = hand_held()
+    T_cam_body = se3.exp(np.array([1.2, -1.2, 1.2, 0.1, 0.05, -0.2]))
+    truth = Trajectory(path.timestamps_s, path.T_world_cam @ T_cam_body)
+    report = compare_drift(with_right_loops(path), truth, CONFIG)
+    assert [loop.is_false for loop in report.loops] == [False] * 80
+    assert report.corrected.ate_rmse_m < 1e-6
+    assert report.corrected.rpe_rotation_deg < 1e-3
+    assert "it is of a body" in report.doubts[0]
+    np.testing.assert_allclose(report.truth.T_world_cam, path.T_world_cam, atol=1e-6)
+
+
+def test_positions_alone_have_an_ate_and_nothing_else():
+    path = hand_held()
+    poses = path.T_world_cam.copy()
+    poses[:, :3, :3] = np.eye(3)
+    report = compare_drift(with_right_loops(path), along(path.timestamps_s, poses), CONFIG)
+    assert report.corrected.ate_rmse_m < 1e-9
+    for error in (report.odometry, report.live, report.without_loops, report.corrected):
+        assert math.isnan(error.rpe_translation_m) and math.isnan(error.rpe_rotation_deg)
+    assert {loop.is_false for loop in report.loops} == {None}
+    assert math.isnan(report.median_links_nees) and math.isnan(report.median_loops_nees)
+    assert "positions alone" in report.unjudged
+
+
+def test_a_wrong_depth_scale_is_named_and_makes_no_loop_false():
+    path = hand_held()
+    report = compare_drift(with_right_loops(path), scaled(path, 1.0 / 1.31), CONFIG)
+    assert [loop.is_false for loop in report.loops] == [False] * 80
+    assert report.corrected.ate_rmse_m > 0.1
+    (doubt,) = report.doubts
+    assert "1.31 times as long as the true one" in doubt
+    assert "6550 depth units per metre would fit instead of 5000 (--input.depth-scale)" in doubt
+
+
 def test_figures_agree_with_evo():
     metrics = pytest.importorskip("evo.core.metrics", reason="evo, the oracle, is not installed")
     evo_sync = pytest.importorskip("evo.core.sync")

@@ -148,6 +148,7 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
         coverage=1.0,
         rpe_interval_s=1.0,
         truth_length_m=17.2,
+        truth=Trajectory(times, true_poses),
     )
     return Run(result, drift, Trajectory(times, true_poses))
 

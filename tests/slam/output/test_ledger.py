@@ -43,7 +43,13 @@ ATTEMPTS = (
     LoopAttempt(1, 0, 0.1, None, Rejection(RejectionReason.LOW_SIMILARITY, 0.1, 0.5)),
     LoopAttempt(1, 0, 0.7, verification(MOTION), OUTVOTED, 0.0),
 )
-CONDITIONS = {"tolerance_s": 0.02, "coverage": 1.0, "rpe_interval_s": 1.0, "truth_length_m": 5.0}
+CONDITIONS = {
+    "tolerance_s": 0.02,
+    "coverage": 1.0,
+    "rpe_interval_s": 1.0,
+    "truth_length_m": 5.0,
+    "truth": Trajectory(np.zeros(0), np.zeros((0, 4, 4))),
+}
 TRUTHS = (
     LoopTruth(0.01, 0.5, 1.0, 20.0, False, 5.5),
     LoopTruth(NAN, NAN, 2.0, 30.0, None),

@@ -70,6 +70,7 @@ def drift(rpe_after=(math.nan, math.nan), verdicts=(True, False, None, None, Non
         coverage=0.905,
         rpe_interval_s=1.0,
         truth_length_m=12.5,
+        truth=Trajectory(np.zeros(0), np.zeros((0, 4, 4))),
     )
 
 
@@ -234,6 +235,15 @@ def test_an_error_over_an_interval_that_no_frames_are_apart_is_said_to_be_unknow
     text = "\n".join(lines(result(), drift()))
     assert "RPE        unknown: no two compared frames are 1 s apart" in text
     assert "nan" not in text
+
+
+def test_what_ground_truth_cannot_judge_is_said_to_be_unknown():
+    unknown = replace(drift(verdicts=(None,) * 5), unjudged="the truth has no orientations")
+    printed = lines(result(), unknown)
+    assert "RPE        unknown: the truth has no orientations" in printed
+    assert not any("false" in line for line in printed)
+    summary = summarise(result(), unknown)
+    assert (summary["loops_judged"], summary["loops_false"]) == (0, None)
 
 
 def test_live_figures_of_fewer_frames_say_so():

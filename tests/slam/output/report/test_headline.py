@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam.evaluation.motion_truth import LoopTruth
 from slam.output.decision import decisions
 from slam.output.report.headline import headline, length
 
@@ -82,6 +83,14 @@ def test_without_any_loop_none_is_praised(run, altered) -> None:
 def test_loops_that_truth_cannot_judge_are_named(run) -> None:
     loops = tuple(replace(one, is_false=None) for one in run.drift.loops)
     assert "(ground truth can judge 0)" in sentences(run, loops=loops)[2]
+
+
+def test_where_truth_says_nothing_of_turning_no_loop_is_called_right_or_false(run) -> None:
+    unknown = tuple(LoopTruth() for _ in run.drift.loops)
+    found = sentences(run, loops=unknown, unjudged="the truth has no orientations")[2]
+    said = "candidates were accepted; which of them are false is not known: the truth has no"
+    assert f"of 60 {said} orientations." in found
+    assert "none of them" not in found
 
 
 def test_partial_coverage_is_said(run) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from placerec import drawing
+from slam.evaluation.motion_truth import LoopTruth
 from slam.output.report.page import write_report
 from slam.result import SlamResult
 from slam.types import RejectionReason, RelativePose, Trajectory
@@ -305,3 +306,14 @@ def test_a_browser_has_nothing_to_complain_about(certified_text: str, tmp_path: 
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert "CONSOLE" not in done.stderr
     assert "<title>width 500</title>" in done.stdout  # nothing sticks out of a narrow window
+
+
+def test_what_truth_cannot_judge_is_called_neither_right_nor_false(run) -> None:
+    drift = replace(
+        run.drift,
+        loops=tuple(LoopTruth() for _ in run.drift.loops),
+        unjudged="the truth has no orientations",
+    )
+    text = render(run.result, drift, "[loop]\n", "a run", run.truth)
+    assert "none false" not in text
+    assert "not known" in text and "not covered" not in text
