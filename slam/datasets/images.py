@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage, decode
+from placerec.datasets.times import FRAMES_PER_S as FRAMES_PER_S
 from slam.types import SlamError
-
-FRAMES_PER_S = 30.0
-"""What numbers stand for where no time is given: all the cameras of these recordings ran at it."""
 
 ANY_IMAGE = re.compile(r"\D*(\d+)(?:-\d+)?\.(?:png|jpe?g|bmp|ppm|tiff?)", re.IGNORECASE)
 

@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from collections.abc import Sequence as Items
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
+from placerec.datasets.times import in_order
 from slam.datasets.images import read_color, read_depth
 from slam.datasets.registration import Registration
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
@@ -41,6 +43,22 @@ class ImagePair:
     depth_path: Path
 
 
+def pairs_in_order(
+    pairs: list[ImagePair], file: Path, warnings: list[str]
+) -> tuple[list[ImagePair], FloatArray]:
+    """Return pairs of images in the order of time, and the ends of sessions, seconds.
+
+    Where the clock of the file that tells the times starts again, what follows is moved behind.
+
+    Raises:
+        LoopcloseError: too many times are equal.
+    """
+    stamps_s = np.array([pair.timestamp_s for pair in pairs])
+    kept, times_s, clock = in_order(stamps_s, file, warnings)
+    ordered = zip(kept, times_s.tolist(), strict=True)
+    return [replace(pairs[i], timestamp_s=time_s) for i, time_s in ordered], clock.ends_s
+
+
 class Sequence:
     """An RGB-D recording whose frames are decoded in the background while others are worked on.
 
@@ -65,13 +83,15 @@ class Sequence:
         read_color_file: ColorReader = read_color,
         read_depth_file: DepthReader | None = None,
         images_are_files: bool = True,
+        session_ends_s: Items[float] | FloatArray = (),
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
         Colour and depth files that do not show the same pixel by pixel need a `registration`,
         colour files that are no images a `read_color_file`, and depth files that are no images of
         16 bits in the camera's depth scale a `read_depth_file`. Any thread may call those. Where
-        `images_are_files` is false, paths are only names, which those functions know.
+        `images_are_files` is false, paths are only names, which those functions know. Where
+        `session_ends_s` names times, the recording is several, one after the other.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
@@ -83,6 +103,7 @@ class Sequence:
         self._read_color = read_color_file
         self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
+        self._session_ends_s = session_ends_s
         self._skipped: dict[float, BrokenImage] = {}
         self._images = [pair for pair in images if not images_are_files or self._exists(pair)]
         self.timestamps_s: FloatArray = np.array([pair.timestamp_s for pair in self._images])
@@ -130,6 +151,28 @@ class Sequence:
             f"{len(self._skipped)} of {self._listed} frames were skipped because an image is"
             f" missing or broken; the first: {why}: {path}",
         )
+
+    def sessions(self) -> "list[Sequence]":
+        """Return the recordings that this one consists of; most are one.
+
+        They follow one another in time, and have the truth in common; the first has the warnings.
+        """
+        cuts = np.searchsorted(self.timestamps_s, self._session_ends_s)
+        starts, ends = [0, *cuts.tolist()], [*cuts.tolist(), len(self)]
+        bounds = [(start, end) for start, end in zip(starts, ends, strict=True) if start < end]
+        if len(bounds) < 2:
+            return [self]
+        return [self._part(k, start, end) for k, (start, end) in enumerate(bounds, start=1)]
+
+    def _part(self, number: int, start: int, end: int) -> "Sequence":
+        part = copy(self)
+        part.name = f"{self.name}, session {number}"
+        part.timestamps_s = self.timestamps_s[start:end]
+        part._images = self._images[start:end]
+        part._listed = end - start
+        part._skipped = self._skipped if number == 1 else {}
+        part._warnings = self._warnings if number == 1 else []
+        return part
 
     def _exists(self, pair: ImagePair) -> bool:
         for path in (pair.color_path, pair.depth_path):

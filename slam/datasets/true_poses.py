@@ -6,32 +6,25 @@ from pathlib import Path
 
 import numpy as np
 
+from placerec.datasets.times import Clock, in_order, like_images
 from placerec.datasets.tum_lists import as_numbers, read_lines, read_poses
 from slam.evaluation.trajectory import from_rows
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
-
-def in_order(stamps_s: FloatArray, file: Path, warnings: list[str]) -> list[int]:
-    """Return which of (N,) times to keep, in the order of time: of equal ones the first."""
-    order = np.argsort(stamps_s, kind="stable")
-    is_new = np.concatenate([[True], np.diff(stamps_s[order]) > 0.0])
-    if (np.diff(stamps_s) < 0.0).any():
-        warnings.append(f"{file.name} is not in the order of time; it was sorted")
-    if not is_new.all():
-        warnings.append(
-            f"{file.name} has {int((~is_new).sum())} line(s) whose timestamp came before; the"
-            " first of each was used"
-        )
-    kept: list[int] = order[is_new].tolist()
-    return kept
-
-
 _MAX_SKEW = 1e-2  # files with few digits are no exact rotations; a scale or a shear is none at all
 
 
-def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
+def read_pose_list(
+    file: Path,
+    warnings: list[str],
+    images_s: FloatArray | None = None,
+    clock: Clock | None = None,
+) -> Trajectory | None:
     """Read a pose per line, `timestamp tx ty tz qx qy qz qw`, or None where there is no line.
+
+    Where the (N,) times of the images as listed, seconds, and their clock are given, those of the
+    poses are made to be by the same.
 
     Raises:
         LoopcloseError: a line is no pose in finite numbers.
@@ -41,8 +34,10 @@ def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
         warnings.append(f"{file.name} holds no pose, so there is no ground truth")
         return None
     table = np.array(rows)
-    table = table[in_order(table[:, 0], file, warnings)]
-    return from_rows(table)
+    if images_s is not None:
+        table[:, 0] = like_images(table[:, 0], images_s, file, warnings)
+    kept, times_s, _ = in_order(table[:, 0], file, warnings, clock)
+    return from_rows(np.column_stack([times_s, table[kept, 1:]]))
 
 
 def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) -> Trajectory | None:
