@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, keep_readable
 from placerec.datasets.tables import read_csv
+from placerec.datasets.tum_lists import slashed
 from placerec.errors import RecognizerError
 
 TEST_FLOORS = frozenset({"basement3", "floor6", "floor11", "floor16", "floor21"})
@@ -75,6 +76,7 @@ def _read_frames(folder: Path) -> list[Frame]:
     table = folder / "dataset.csv"
     frames = []
     for line, (path, floor) in read_csv(table, ("image_path", "floor")):
+        path = path if (folder / path).is_file() else slashed(path)
         match = _FRAME.fullmatch(Path(path).name)
         if match is None:
             raise RecognizerError(

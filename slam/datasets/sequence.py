@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
 from placerec.datasets.times import in_order
-from slam.datasets.images import read_color, read_depth
+from slam.datasets.images import color_bits, depth_units, read_color, read_depth
 from slam.datasets.registration import Registration
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
 
 _READERS = 2
 _FRAMES_AHEAD = 4
 _SAMPLES = 4
+_SAMPLES_16 = 16  # of colour images, to see how bright they get
 
 ColorReader = Callable[[Path], NDArray[np.uint8] | BrokenImage]
 """Returns a colour image as (H, W, 3) uint8 RGB."""
@@ -80,7 +81,7 @@ class Sequence:
         ground_truth: Trajectory | None = None,
         warnings: tuple[str, ...] = (),
         registration: Registration | None = None,
-        read_color_file: ColorReader = read_color,
+        read_color_file: ColorReader | None = None,
         read_depth_file: DepthReader | None = None,
         images_are_files: bool = True,
         session_ends_s: Items[float] | FloatArray = (),
@@ -88,26 +89,37 @@ class Sequence:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
         Colour and depth files that do not show the same pixel by pixel need a `registration`,
-        colour files that are no images a `read_color_file`, and depth files that are no images of
-        16 bits in the camera's depth scale a `read_depth_file`. Any thread may call those. Where
-        `images_are_files` is false, paths are only names, which those functions know. Where
-        `session_ends_s` names times, the recording is several, one after the other.
+        colour files that are no images a `read_color_file`, and depth files that are neither images
+        in the camera's depth scale nor of floating-point metres a `read_depth_file`. Any thread may
+        call those. Where `images_are_files` is false, paths are only names, which those functions
+        know. Where `session_ends_s` names times, it is several recordings, one after the other.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
         """
         self.name = name
-        self.camera = camera
         self.ground_truth = ground_truth
         self._registration = registration
-        self._read_color = read_color_file
-        self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
         self._session_ends_s = session_ends_s
         self._skipped: dict[float, BrokenImage] = {}
         self._images = [pair for pair in images if not images_are_files or self._exists(pair)]
         self.timestamps_s: FloatArray = np.array([pair.timestamp_s for pair in self._images])
+        bits = 8 if read_color_file else color_bits([p.color_path for p in self._some(_SAMPLES_16)])
+        self._read_color = read_color_file or partial(read_color, bits=bits)
+        units = camera.depth_scale
+        if read_depth_file is None:
+            units = depth_units((p.depth_path for p in self._some(_SAMPLES)), units)
+        self.camera = replace(camera, depth_scale=units)
+        self._read_depth = read_depth_file or partial(read_depth, depth_scale=units)
         self._warnings = [*warnings, *doubts_about_intrinsics(camera), *self._doubts_about_depth()]
+        if 8 < bits < 16:
+            self._warnings.append(f"the colour images use {bits} of their 16 bits")
+        if units != camera.depth_scale:
+            self._warnings.append(
+                "the depth images hold floating-point numbers and are taken to be in metres,"
+                f" whatever the depth scale ({camera.depth_scale:g})"
+            )
 
     def __len__(self) -> int:
         return len(self._images)
@@ -189,9 +201,13 @@ class Sequence:
                 f" the sequence unpacked completely? the last: {broken.why}: {broken.path}"
             )
 
+    def _some(self, count: int) -> list[ImagePair]:
+        """Return about so many pairs, spread over the recording."""
+        spread = np.linspace(0, len(self) - 1, count).astype(int)
+        return [self._images[i] for i in sorted(set(spread.tolist())) if i >= 0]
+
     def _doubts_about_depth(self) -> list[str]:
-        spread = np.linspace(0, len(self) - 1, _SAMPLES).astype(int)
-        frames = [self._read(self._images[i]) for i in sorted(set(spread.tolist()))]
+        frames = [self._read(pair) for pair in self._some(_SAMPLES)]
         depths_m = [frame.depth_m for frame in frames if isinstance(frame, Frame)]
         return doubts_about_depth(depths_m, self.camera.depth_scale)
 
@@ -245,7 +261,7 @@ _ASPECT = (0.8, 1.25)
 _MAX_CENTRE_OFFSET = 0.25
 _MEDIAN_DEPTH_M = (0.4, 4.5)  # what structured-light cameras indoors see; scales differ by 5
 _MAX_MISSING = 0.9
-_USUAL_SCALES = (5000.0, 1000.0)
+_USUAL_SCALES = (5000.0, 1000.0, 1.0)
 _USUAL_DEPTH_M = 2.0
 
 
@@ -291,13 +307,19 @@ def doubts_about_depth(depths_m: Items[NDArray[np.float32]], depth_scale: float)
     if not _MEDIAN_DEPTH_M[0] <= median_m <= _MEDIAN_DEPTH_M[1]:
         doubts.append(
             f"the median depth of {len(depths_m)} sampled images is {median_m:.3g} m with"
-            f" {depth_scale:g} units per metre; {_likely_scale(median_m * depth_scale)}"
+            f" {depth_scale:g} units per metre; {_advice(median_m * depth_scale)}"
         )
     return doubts
 
 
-def _likely_scale(median_units: float) -> str:
-    scale = min(
-        _USUAL_SCALES, key=lambda scale: abs(math.log(median_units / scale / _USUAL_DEPTH_M))
-    )
+def _advice(median_units: float) -> str:
+    """Return which scale would make it the depth of a room, if one does; not the one in use."""
+    nearest_m, farthest_m = _MEDIAN_DEPTH_M
+    scales = [each for each in _USUAL_SCALES if nearest_m <= median_units / each <= farthest_m]
+    if not scales:
+        return (
+            "no usual depth scale makes that the depth of a room; does it show one, or are the"
+            " images inverted, in another order of bytes, or something else than depth?"
+        )
+    scale = min(scales, key=lambda each: abs(math.log(median_units / each / _USUAL_DEPTH_M)))
     return f"--input.depth-scale {scale:g} would make it {median_units / scale:.3g} m"

@@ -20,8 +20,7 @@ from placerec.datasets.tables import read_text
 from placerec.datasets.times import in_seconds
 from slam.config import InputConfig
 from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
-from slam.datasets.images import FRAMES_PER_S, numbered_images, read_color
-from slam.datasets.phones.exr import read_exr
+from slam.datasets.images import FRAMES_PER_S, numbered_images, read_color, read_exr
 from slam.datasets.phones.fitting import Fitting
 from slam.datasets.sequence import ImagePair, Sequence, pairs_in_order
 from slam.types import Camera, SlamError

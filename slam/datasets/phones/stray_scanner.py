@@ -123,8 +123,7 @@ def _colors(
 
 def _read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
     """Return depth, metres, 0 where unknown or hardly trusted."""
-    read = _read_array if path.suffix == ".npy" else read_depth
-    depth_m = read(path, depth_scale)
+    depth_m = read_depth(path, depth_scale)
     if isinstance(depth_m, BrokenImage):
         return depth_m
     folder = path.parent.with_name("confidence")
@@ -136,16 +135,3 @@ def _read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenI
             return BrokenImage(folder / f"{path.stem}.png", "not of the size of its depth image")
         depth_m[confidence < _MIN_CONFIDENCE] = 0.0
     return depth_m
-
-
-def _read_array(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
-    try:
-        depth = np.load(path, allow_pickle=False)
-    except OSError as error:
-        return BrokenImage(path, error.strerror or "cannot be read")
-    except (ValueError, EOFError):
-        return BrokenImage(path, "the file is cut off, or no array")
-    if depth.ndim != 2 or depth.dtype.kind not in "uif":
-        return BrokenImage(path, "not an array of rows and columns of numbers")
-    depth_m = depth.astype(np.float32) / np.float32(depth_scale)
-    return np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))
