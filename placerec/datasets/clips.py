@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.datasets.tables import read_csv
-from placerec.datasets.tum_lists import as_whole_number
+from placerec.datasets.tum_lists import as_whole_number, slashed
 from placerec.errors import RecognizerError
 
 TEST_FLOORS = frozenset({"basement3", "floor6", "floor11", "floor16", "floor21"})
@@ -78,6 +78,7 @@ def _read_frames(folder: Path) -> list[Frame]:
     table = folder / "dataset.csv"
     frames = []
     for line, (path, floor) in read_csv(table, ("image_path", "floor")):
+        path = path if (folder / path).is_file() else slashed(path)
         match = _FRAME.fullmatch(Path(path).name)
         number = as_whole_number(match["number"]) if match else None
         if match is None or number is None:

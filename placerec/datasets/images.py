@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photographs on disk, decoded; a broken file is an answer, not an exception."""
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +16,7 @@ from placerec.errors import LoopcloseError
 from placerec.files import read_bytes
 
 _IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".tif", ".tiff", ".webp"})
+_NUMBERS = re.compile(r"([^0-9]*)(?:([0-9]+)(?:\.([0-9]+))?|$)")
 _TAIL_BYTES = 64
 _ENDINGS = ((b"\x89PNG\r\n\x1a\n", b"IEND"), (b"\xff\xd8\xff", b"\xff\xd9"))
 
@@ -27,10 +30,29 @@ class BrokenImage(NamedTuple):
 
 def read_image(path: Path) -> NDArray[np.uint8] | BrokenImage:
     """Return an image as (H, W, 3) uint8 RGB; grey gets three equal channels, alpha is dropped."""
-    image = decode(path, cv2.IMREAD_COLOR)
+    image = decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if isinstance(image, BrokenImage):
         return image
+    if image.dtype not in (np.uint8, np.uint16):
+        return BrokenImage(path, f"colours of {image.dtype}, not of 8 or 16 bits")
+    image = in_eight_bits(image, used_bits([image]))
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image), dtype=np.uint8)
+
+
+_BITS = (8, 10, 12, 14, 16)  # that cameras count light in
+
+
+def used_bits(images: Iterable[MatLike]) -> int:
+    """Return in how many bits images count light, 8 to 16: sensors of 12 fill no more of 16."""
+    brightest = max((int(image.max()) for image in images if image.dtype == np.uint16), default=0)
+    return next(bits for bits in _BITS if brightest < 1 << bits)
+
+
+def in_eight_bits(image: MatLike, bits: int) -> MatLike:
+    """Return an image of 8 bits as it is, one that uses so many of 16 in the upper 8 of these."""
+    if image.dtype == np.uint8:
+        return image
+    return (np.minimum(image, (1 << bits) - 1) >> (bits - 8)).astype(np.uint8)
 
 
 def find_fault(path: Path) -> BrokenImage | None:
@@ -43,8 +65,18 @@ def find_fault(path: Path) -> BrokenImage | None:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Return the image files of a folder, by name; numbers of equal length sort as numbers do."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _IMAGE_SUFFIXES)
+    """Return the image files of a folder, hidden ones apart, in the order that people count in."""
+    files = (file for file in folder.iterdir() if file.suffix.lower() in _IMAGE_SUFFIXES)
+    return sorted(
+        (file for file in files if not file.name.startswith(".") and file.is_file()),
+        key=lambda file: natural_order(file.name),
+    )
+
+
+def natural_order(name: str) -> list[tuple[str, int, str]]:
+    """Return what sorts names by the numbers in them: 2 before 10, and 1.25 before 1.5."""
+    parts = _NUMBERS.findall(name)
+    return [(text, int(whole or -1), decimals) for text, whole, decimals in parts] + [(name, 0, "")]
 
 
 def decode(path: Path, flags: int) -> MatLike | BrokenImage:

@@ -22,7 +22,7 @@ apart on one drive; the authors' matrix marks revisits only."""
 def find_ground_truth(folder: Path) -> Path | None:
     """Return the matrix file of such a folder, None where there is none."""
     found = sorted([*folder.glob(_GROUND_TRUTH), *folder.glob(f"masks/{_GROUND_TRUTH}")])
-    return found[0] if found else None
+    return next((file for file in found if not file.name.startswith(".")), None)
 
 
 def read_oxford(folder: Path) -> PlaceDataset:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings in the format of the TUM RGB-D benchmark: places from camera poses (eq. 10)."""
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
+from placerec.datasets.times import Clock, in_order, like_images
 from placerec.datasets.tum_lists import FloatArray, nearest, read_images, read_poses
 from placerec.errors import RecognizerError
+
+_log = logging.getLogger(__name__)
 
 _MAX_TIME_DIFFERENCE_S = 0.02
 _MAX_DISTANCE = 0.6
@@ -91,9 +95,14 @@ def read_recording(folder: Path, stride: int) -> Recording:
     Raises:
         LoopcloseError: a list cannot be used, or no frame has a true pose.
     """
-    stamps_s, paths = read_images(folder / "rgb.txt")
-    frames_s, order = np.unique(stamps_s, return_index=True)
-    truth_s, positions_m, quaternions = _read_truth(folder / "groundtruth.txt")
+    warnings: list[str] = []
+    stamps_s, paths = read_images(folder / "rgb.txt", warnings)
+    order, frames_s, clock = in_order(stamps_s, folder / "rgb.txt", warnings)
+    truth_s, positions_m, quaternions = _read_truth(
+        folder / "groundtruth.txt", stamps_s, clock, warnings
+    )
+    for warning in warnings:
+        _log.warning("%s: %s", folder, warning)
     in_truth = nearest(truth_s, frames_s)
     difference_s = np.abs(truth_s[in_truth] - frames_s)
     used = np.flatnonzero(difference_s <= _MAX_TIME_DIFFERENCE_S)
@@ -106,7 +115,7 @@ def read_recording(folder: Path, stride: int) -> Recording:
         )
     return Recording(
         timestamps_s=frames_s[used],
-        paths=tuple(paths[i] for i in order[used]),
+        paths=tuple(paths[order[i]] for i in used),
         positions_m=positions_m[in_truth[used]],
         quaternions=quaternions[in_truth[used]],
     )
@@ -142,12 +151,15 @@ def _label(distance: FloatArray) -> NDArray[np.int64]:
     return labels
 
 
-def _read_truth(file: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (N,) seconds, (N, 3) metres and (N, 4) unit quaternions."""
+def _read_truth(
+    file: Path, images_s: FloatArray, clock: Clock, warnings: list[str]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (N,) seconds by the images' clock, (N, 3) metres and (N, 4) unit quaternions."""
     poses = [pose for _, pose in read_poses(file)]
     if not poses:
         raise RecognizerError(f"the list holds no true pose: {file}")
     table = np.array(poses)
-    table = table[np.unique(table[:, 0], return_index=True)[1]]
-    lengths = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    return table[:, 0], table[:, 1:4], table[:, 4:] / lengths
+    stamps_s = like_images(table[:, 0], images_s, file, warnings)
+    kept, times_s, _ = in_order(stamps_s, file, warnings, clock)
+    lengths = np.linalg.norm(table[kept, 4:], axis=1, keepdims=True)
+    return times_s, table[kept, 1:4], table[kept, 4:] / lengths

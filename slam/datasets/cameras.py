@@ -124,12 +124,16 @@ def camera_of(values: Mapping[str, object], path: Path) -> Camera:
 def camera_of_matrix(K: FloatArray, size: tuple[int, int], file: Path) -> Camera:
     """Return the camera of a (3, 3) intrinsic matrix, or larger, and (width, height), pixels.
 
+    One that is written by columns is turned.
+
     Depth is in millimetres. `file` is where the matrix is from.
 
     Raises:
         SlamError: a value is out of range.
     """
     width, height = size
+    if not K[:2, 2].any() and K[2, :2].any():
+        K = K.T
     values = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
     pinhole = {key: float(value) for key, value in values.items()}
     return camera_of(
@@ -157,16 +161,31 @@ def write_camera(path: Path, camera: Camera) -> None:
     write_atomically(path, "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys))
 
 
-_NICE_SLAM = {"w": "width", "h": "height", "scale": "depth_scale"}
+_GROUPS = ("camera", "intrinsics", "intrinsic", "color", "rgb", "depth_intrinsics")
+_MATRICES = ("intrinsic_matrix", "camera_matrix", "K", "k", "matrix", "intrinsics", "intrinsic")
+_COEFFICIENTS = ("coeffs", "distortion", "distortion_coefficients", "dist_coeffs", "D", "d")
+_NAMES = {
+    "width": ("width", "w", "image_width"),
+    "height": ("height", "h", "image_height"),
+    "fx": ("fx", "fl_x"),
+    "fy": ("fy", "fl_y"),
+    "cx": ("cx", "ppx"),
+    "cy": ("cy", "ppy"),
+    "depth_scale": ("depth_scale", "scale", "png_depth_scale"),
+}
+_READ = (
+    "width, height, fx, fy, cx, cy (or ppx, ppy) or an intrinsic_matrix of nine numbers, and"
+    " depth_scale; these within camera or intrinsics too"
+)
 
 
-def read_intrinsics(file: Path) -> Camera:
-    """Read a JSON file of Open3D, NICE-SLAM, or with the attributes of pyrealsense2's intrinsics.
+def read_intrinsics(file: Path, usual_scale: float | None = UNITS_PER_M) -> Camera:
+    """Read a JSON file of the names that Open3D, NICE-SLAM, pyrealsense2, ROS and others use.
 
-    The first has width, height and intrinsic_matrix (by columns); the second w, h, fx, fy, cx, cy
-    and scale within camera; the third width, height, fx, fy, ppx, ppy, model and coeffs. All but
-    the second may have depth_scale: Open3D's, 1000 or so, are units per metre; a RealSense's, 0.001
-    or so, are metres per unit.
+    A matrix may be flat or nested, by rows or by columns: the camera's centre tells. All may be
+    within a group such as camera. Coefficients of the lens are OpenCV's, and depth_scale is units
+    per metre or, as a RealSense's 0.001 is, metres per unit; without one it is the usual scale, if
+    there is one.
 
     Raises:
         SlamError: the file cannot be read, or a value is missing or out of range.
@@ -174,36 +193,68 @@ def read_intrinsics(file: Path) -> Camera:
     values = read_json(file, what=_WHAT, kind=SlamError)
     if not isinstance(values, dict):
         raise SlamError(f"the camera file does not hold names and values: {file}")
-    if isinstance(values.get("camera"), dict):
-        named = {_NICE_SLAM.get(key, key): value for key, value in values["camera"].items()}
-        return camera_of(named, file)
-    pinhole_of = _of_matrix if "intrinsic_matrix" in values else _of_realsense
-    scale = values.get("depth_scale", UNITS_PER_M)
+    for group in _GROUPS:
+        if isinstance(values.get(group), dict):
+            values = {**values, **values[group]}
+            break
+    camera = {
+        ours: values[theirs]
+        for ours, names in _NAMES.items()
+        for theirs in names[::-1]
+        if theirs in values
+    }
+    matrix = next((name for name in _MATRICES if name in values), None)
+    if matrix is not None and not {"fx", "fy", "cx", "cy"} <= camera.keys():
+        camera |= _of_matrix(values[matrix], matrix, file)
+    if usual_scale is not None:
+        camera.setdefault("depth_scale", usual_scale)
+    if missing := [name for name in _NAMES if name not in camera]:
+        raise SlamError(f"the camera key {missing[0]} is missing; what is read is {_READ}: {file}")
+    scale = camera["depth_scale"]
     if isinstance(scale, float) and 0.0 < scale < 1.0:
-        scale = 1.0 / scale
-    size = {key: values[key] for key in ("width", "height") if key in values}
-    return camera_of({**size, **pinhole_of(values, file), "depth_scale": scale}, file)
+        camera["depth_scale"] = 1.0 / scale
+    return camera_of({**camera, **_lens(values, file)}, file)
 
 
-def _of_matrix(values: dict[str, Any], file: Path) -> dict[str, object]:
-    matrix = values["intrinsic_matrix"]
-    if not isinstance(matrix, list) or len(matrix) != 9:
-        raise SlamError(f"intrinsic_matrix does not have 9 numbers, column by column: {file}")
-    return {"fx": matrix[0], "fy": matrix[4], "cx": matrix[6], "cy": matrix[7]}
+def _of_matrix(matrix: Any, name: str, file: Path) -> dict[str, object]:
+    """Return the values of a (3, 3) or larger matrix, whichever way it is written."""
+    if isinstance(matrix, dict):  # as OpenCV writes matrices
+        matrix = matrix.get("data")
+    rows = matrix if isinstance(matrix, list) else []
+    flat = [value for row in rows for value in (row if isinstance(row, list) else [row])]
+    if len(flat) not in (9, 16):
+        raise SlamError(f"{name} does not have 9 numbers, by rows or by columns: {file}")
+    size = 3 if len(flat) == 9 else 4
+    right, down, below = flat[2], flat[size + 2], flat[2 * size : 2 * size + 2]
+    if not (right or down) and any(below):
+        right, down = below
+    return {"fx": flat[0], "fy": flat[size + 1], "cx": right, "cy": down}
 
 
-def _of_realsense(values: dict[str, Any], file: Path) -> dict[str, object]:
-    names = {"fx": "fx", "fy": "fy", "ppx": "cx", "ppy": "cy"}
-    pinhole = {ours: values[theirs] for theirs, ours in names.items() if theirs in values}
-    coefficients, model = values.get("coeffs", [0.0] * 5), str(values.get("model", ""))
+def _lens(values: dict[str, Any], file: Path) -> dict[str, object]:
+    """Return the coefficients of the lens, none where it does not distort.
+
+    Raises:
+        SlamError: they are of a model that is not OpenCV's.
+    """
+    named = next((values[name] for name in _COEFFICIENTS if name in values), None)
+    if named is None and "k1" in values:
+        named = [values.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3")]
+    if isinstance(named, dict):
+        named = named.get("data")
+    coefficients = [] if named is None else named
     if not isinstance(coefficients, list):
-        raise SlamError(f"coeffs = {coefficients!r} is no list of numbers: {file}")
+        raise SlamError(f"the lens's coefficients {named!r} are no list of numbers: {file}")
+    coefficients = [
+        value for row in coefficients for value in (row if isinstance(row, list) else [row])
+    ]
     if not any(coefficients):
-        return pinhole
+        return {}
+    model = str(values.get("model", values.get("distortion_model", "plumb_bob"))).lower()
     # Inverse or not, librealsense projects with OpenCV's formula (rs2_project_point_to_pixel).
-    if "brown_conrady" not in model:
+    if not any(known in model for known in ("brown_conrady", "plumb_bob", "opencv", "radtan")):
         raise SlamError(
             f"the lens model {model!r} is not known, only brown_conrady is; name the camera by"
             f" --input.camera FILE.toml: {file}"
         )
-    return {**pinhole, "distortion": coefficients}
+    return {"distortion": coefficients}

@@ -40,7 +40,7 @@ class Format:
     def fits(self, folder: Path) -> bool:
         """Return whether a folder can be read as this format."""
         return not self.missing(folder) and not any(
-            any(folder.glob(pattern)) for pattern in self.without
+            _holds(folder, pattern) for pattern in self.without
         )
 
     def missing(self, folder: Path) -> tuple[str, ...]:
@@ -48,8 +48,13 @@ class Format:
         return tuple(
             need
             for need in self.needs
-            if not any(any(folder.glob(pattern)) for pattern in need.split("|"))
+            if not any(_holds(folder, pattern) for pattern in need.split("|"))
         )
+
+
+def _holds(folder: Path, pattern: str) -> bool:
+    """Return whether a folder holds such files, hidden ones apart."""
+    return any(not path.name.startswith(".") for path in folder.glob(pattern))
 
 
 _COLOR = "color/|rgb/|image/"

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage, content_of
-from placerec.datasets.tum_lists import as_numbers, read_lines
+from placerec.datasets.tum_lists import as_numbers, named_file, read_lines, split_fields
 from slam.config import InputConfig
 from slam.datasets.cameras import named_camera, rescaled
 from slam.datasets.images import FRAMES_PER_S, numbered_images
-from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import in_order, read_pose_list, rigid
+from slam.datasets.sequence import ImagePair, Sequence, pairs_in_order
+from slam.datasets.true_poses import read_pose_list, rigid
 from slam.geometry import se3
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
@@ -37,8 +37,8 @@ def open_icl_nuim(path: Path, config: InputConfig) -> Sequence:
     Both count images, at 30 a second; the first image has no true pose.
     """
     warnings: list[str] = []
-    images = _read_associations(path / "associations.txt", warnings)
-    files = sorted(path.glob("*.gt.freiburg"))
+    images, ends_s = _read_associations(path / "associations.txt", warnings)
+    files = sorted(path.glob("[!.]*.gt.freiburg"))
     if len(files) > 1:
         raise SlamError(
             f"there are {len(files)} files of true poses, {files[0].name} and {files[1].name};"
@@ -56,13 +56,14 @@ def open_icl_nuim(path: Path, config: InputConfig) -> Sequence:
         images,
         ground_truth=truth,
         warnings=tuple(warnings),
+        session_ends_s=ends_s,
     )
 
 
-def _read_associations(file: Path, warnings: list[str]) -> list[ImagePair]:
+def _read_associations(file: Path, warnings: list[str]) -> tuple[list[ImagePair], FloatArray]:
     images = []
     for number, line in read_lines(file):
-        fields = line.split()
+        fields = split_fields(line)
         frames = as_numbers(" ".join(fields[::2]))
         if len(fields) != 4 or frames is None or frames != [int(frames[0])] * 2:
             raise SlamError(
@@ -71,11 +72,11 @@ def _read_associations(file: Path, warnings: list[str]) -> list[ImagePair]:
             )
         # Lists made by the tools of the TUM benchmark have the colour image first.
         depth, color = sorted(fields[1::2], key=lambda name: not name.startswith("depth"))
-        images.append(ImagePair(frames[0] / FRAMES_PER_S, file.parent / color, file.parent / depth))
+        paths = (named_file(file.parent, name) for name in (color, depth))
+        images.append(ImagePair(frames[0] / FRAMES_PER_S, *paths))
     if not images:
         raise SlamError(f"the list names no image: {file}")
-    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
-    return [images[i] for i in kept]
+    return pairs_in_order(images, file, warnings)
 
 
 def open_icl_nuim_original(path: Path, config: InputConfig) -> Sequence:

@@ -11,12 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from placerec.datasets.tum_lists import as_numbers, as_whole_number, read_lines
+from placerec.datasets.times import MICROSECONDS, in_seconds
+from placerec.datasets.tum_lists import (
+    as_numbers,
+    as_whole_number,
+    is_whole,
+    read_lines,
+    split_fields,
+)
 from slam.config import InputConfig
 from slam.datasets.cameras import UNITS_PER_M, named_camera, read_intrinsics, rescaled
-from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, numbered_pairs, read_size
-from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import in_order, known_poses, read_pose_log
+from slam.datasets.images import ANY_IMAGE, FRAMES_PER_S, NumberedPair, numbered_pairs, read_size
+from slam.datasets.sequence import ImagePair, Sequence, pairs_in_order
+from slam.datasets.true_poses import known_poses, read_pose_log
 from slam.types import Camera, FloatArray, SlamError, Trajectory
 
 _COLOR_FOLDERS = ("color", "rgb", "image")
@@ -33,9 +40,10 @@ def open_open3d(path: Path, config: InputConfig) -> Sequence:
     file, images of 640x480 pixels are taken to be Open3D's default camera's.
     """
     warnings: list[str] = []
+    pairs = numbered_pairs(_color_folder(path), path / "depth", warnings)
     images = [
-        ImagePair(_time_s(number, color), color, depth)
-        for number, color, depth in numbered_pairs(_color_folder(path), path / "depth", warnings)
+        ImagePair(time_s, color, depth)
+        for time_s, (_, color, depth) in zip(_times_s(pairs, warnings), pairs, strict=True)
     ]
     if (np.diff([pair.timestamp_s for pair in images]) <= 0.0).any():
         raise SlamError(
@@ -57,9 +65,16 @@ def _color_folder(path: Path) -> Path:
     return next(path / name for name in _COLOR_FOLDERS if (path / name).is_dir())
 
 
-def _time_s(number: int, color: Path) -> float:
-    match = _MICROSECONDS.fullmatch(color.stem)
-    return int(match[1]) * 1e-6 if match else number / FRAMES_PER_S
+def _times_s(pairs: list[NumberedPair], warnings: list[str]) -> list[float]:
+    matches = [_MICROSECONDS.fullmatch(color.stem) for _, color, _ in pairs]
+    stamps = np.array([float(match[1]) for match in matches if match])
+    if len(stamps) < len(pairs):
+        return [
+            float(match[1]) * 1e-6 if match else pair.number / FRAMES_PER_S
+            for match, pair in zip(matches, pairs, strict=True)
+        ]
+    folder = pairs[0].color.parent
+    return list(map(float, in_seconds(stamps, folder, warnings, usual=MICROSECONDS)))
 
 
 def _own_camera(path: Path, images: list[ImagePair], warnings: list[str]) -> Camera:
@@ -97,16 +112,12 @@ def _read_truth(log: Path, images: list[ImagePair], warnings: list[str]) -> Traj
     return known_poses(truth, log, warnings)
 
 
-_SEPARATOR = re.compile(r"[\s,;]+")
-_MAX_STEP_S = 1.0
-
-
 def open_realsense(path: Path, config: InputConfig) -> Sequence:
     """Open a folder of color/ (or rgb/, image/), depth/, intrinsics.json, timestamps.csv (or .txt).
 
     Images are paired by their numbers. A line of timestamps is the number or name of an image and
-    its time, or a time alone, one for each image. Times are seconds, or milliseconds where frames
-    would otherwise follow each other by more than a second, as pyrealsense2 gives them.
+    its time, or a time alone, one for each image. Times are in milliseconds, as pyrealsense2 gives
+    them, or in whichever unit their steps tell.
     """
     warnings: list[str] = []
     pairs = numbered_pairs(_color_folder(path), path / "depth", warnings)
@@ -123,19 +134,20 @@ def open_realsense(path: Path, config: InputConfig) -> Sequence:
         )
     images = [ImagePair(stamps_s[number], color, depth) for number, color, depth in timed]
     camera = named_camera(path, config) or read_intrinsics(path / "intrinsics.json")
-    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
+    images, ends_s = pairs_in_order(images, file, warnings)
     return Sequence(
         path.resolve().name,
         rescaled(camera, config),
-        [images[i] for i in kept],
+        images,
         warnings=tuple(warnings),
+        session_ends_s=ends_s,
     )
 
 
 def _read_times(file: Path, numbers: list[int], warnings: list[str]) -> dict[int, float]:
     """Return the time, seconds, of each numbered image that has one."""
     lines = list(read_lines(file))
-    if lines and not any(as_numbers(field) for field in _SEPARATOR.split(lines[0][1])):
+    if lines and not any(as_numbers(field) for field in split_fields(lines[0][1])):
         del lines[0]  # the columns' names
     rows = [_read_row(number, line, file) for number, line in lines]
     if not rows:
@@ -146,24 +158,20 @@ def _read_times(file: Path, numbers: list[int], warnings: list[str]) -> dict[int
         if len(rows) != len(numbers):
             raise SlamError(f"there are {len(rows)} times for {len(numbers)} images: {file}")
         rows = [(image, time) for image, (_, time) in zip(numbers, rows, strict=True)]
-    step = float(np.median(np.abs(np.diff([time for _, time in rows])))) if len(rows) > 1 else 0.0
-    if step > 1000.0 * _MAX_STEP_S:
-        raise SlamError(
-            f"times follow each other by {step:g}; seconds or milliseconds are expected: {file}"
-        )
-    if step > _MAX_STEP_S:
-        warnings.append(f"{file.name} steps by {step:g} and was read as milliseconds")
-    unit_s = 0.001 if step > _MAX_STEP_S else 1.0
-    return {image: unit_s * time for image, time in rows if image is not None}
+    images = [image for image, _ in rows if image is not None]
+    are_whole = all(is_whole(time) for _, time in rows)
+    stamps = np.array([time for _, time in rows], np.float64)
+    stamps_s = in_seconds(stamps, file, warnings, are_whole=are_whole)
+    return dict(zip(images, stamps_s.tolist(), strict=True))
 
 
-def _read_row(number: int, line: str, file: Path) -> tuple[int | None, float]:
-    """Return (image number or None, time) of one line."""
-    fields = _SEPARATOR.split(line)
+def _read_row(number: int, line: str, file: Path) -> tuple[int | None, str]:
+    """Return (image number or None, time as written) of one line."""
+    fields = split_fields(line)
     named = ANY_IMAGE.fullmatch(Path(fields[0]).name)
     image = named[1] if named else fields[0]
-    values = as_numbers(fields[0] if len(fields) == 1 else fields[1])
+    time = fields[0] if len(fields) == 1 else fields[1]
     image_number = as_whole_number(image) if len(fields) > 1 else None
-    if values is None or (len(fields) > 1 and image_number is None):
+    if as_numbers(time) is None or (len(fields) > 1 and image_number is None):
         raise SlamError(f'line {number} is neither "image time" nor "time": {line!r}: {file}')
-    return image_number, values[0]
+    return image_number, time

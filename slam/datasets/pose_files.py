@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of an odometry's poses, one a line: TUM, KITTI, EuRoC, planar; told by what they hold."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from placerec.datasets.tum_lists import as_numbers, read_lines
+from placerec.datasets.times import in_order, like_images
+from placerec.datasets.tum_lists import as_numbers, read_lines, split_fields
 from placerec.files import write_atomically
 from slam.config import InputConfig
 from slam.datasets.bags import is_bag, read_bag_odometry
-from slam.datasets.true_poses import in_order, rigid
+from slam.datasets.true_poses import rigid
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
@@ -194,12 +196,20 @@ def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
         trajectory = Trajectory(_images_of(len(T), images_s, file), T)
         _check_frame(trajectory, file)
         return PoseFile(form, trajectory, ())
-    unit = 1e9 if form is _EUROC else 1.0
-    stamps_s = np.array([values[0] for values in tables]) / unit
     warnings: list[str] = []
-    kept = in_order(stamps_s, file, warnings)
-    stamps = tuple(lines[i][1].replace(",", " ").split()[0] for i in kept)
-    trajectory = Trajectory(stamps_s[kept], T[kept])
+    stamps_s = np.array([values[0] for values in tables])
+    if form is _EUROC:
+        stamps_s /= 1e9
+    else:
+        stamps_s = like_images(stamps_s, images_s, file, warnings)
+    kept, times_s, clock = in_order(stamps_s, file, warnings)
+    if len(clock.ends_s):
+        raise SlamError(
+            f"the clock of the poses starts again {len(clock.ends_s)} time(s), so that which image"
+            f" a pose belongs to is not known; write the times of one clock: {file}"
+        )
+    stamps = tuple(_stamp(lines[i][1], width) for i in kept)
+    trajectory = Trajectory(times_s, T[kept])
     _check_times(trajectory.timestamps_s, images_s, file)
     _check_frame(trajectory, file)
     return PoseFile(form, trajectory, stamps, tuple(warnings))
@@ -221,6 +231,14 @@ def write_pose_file(file: Path, source: PoseFile, corrected: Trajectory) -> None
     write_atomically(file, "\n".join(lines) + "\n")
 
 
+def _stamp(line: str, width: int) -> str:
+    """Return the first number as it is written, but for a decimal comma."""
+    fields = split_fields(line)
+    if len(fields) == width:
+        return fields[0]
+    return re.split(r"[\s;]", line, maxsplit=1)[0].replace(",", ".")
+
+
 def _is_header(line: str) -> bool:
     """Whether a table's first line names its columns."""
     is_a_name = line[0].isalpha() and not line.lower().startswith(("nan", "inf"))
@@ -236,7 +254,7 @@ def _numbers(number: int, line: str, file: Path) -> list[float]:
 
 def _format(values: list[float], first: tuple[int, str], file: Path) -> PoseFormat:
     number, line = first
-    if values[0] > _NANOSECONDS and len(values) >= _EUROC.count:
+    if "," in line and values[0] > _NANOSECONDS and len(values) >= _EUROC.count:
         return _EUROC
     for form in FORMATS:
         if form.count == len(values):

@@ -54,7 +54,7 @@ def _own_camera(path: Path, warnings: list[str]) -> Camera:
     files = (path / _CAMERA_FILE, path.parent / _CAMERA_FILE)
     file = next((file for file in files if file.is_file()), None)
     if file is not None:
-        return read_intrinsics(file)
+        return read_intrinsics(file, usual_scale=None)
     warnings.append(
         f"there is no {_CAMERA_FILE} in the folder or above it; the camera is taken to be that of"
         f" NICE-SLAM's download ({CAMERA.width}x{CAMERA.height} pixels, fx = fy = {CAMERA.fx:g},"

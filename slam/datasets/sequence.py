@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from collections.abc import Sequence as Items
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
+from placerec.datasets.times import in_order
 from placerec.files import is_file
-from slam.datasets.images import read_color, read_depth
+from slam.datasets.images import color_bits, depth_units, read_color, read_depth
 from slam.datasets.registration import Registration
 from slam.types import Camera, FloatArray, Frame, SlamError, Trajectory
 
 _READERS = 2
 _FRAMES_AHEAD = 4
 _SAMPLES = 4
+_SAMPLES_16 = 16  # of colour images, to see how bright they get
 
 ColorReader = Callable[[Path], NDArray[np.uint8] | BrokenImage]
 """Returns a colour image as (H, W, 3) uint8 RGB."""
@@ -40,6 +43,22 @@ class ImagePair:
     timestamp_s: float
     color_path: Path
     depth_path: Path
+
+
+def pairs_in_order(
+    pairs: list[ImagePair], file: Path, warnings: list[str]
+) -> tuple[list[ImagePair], FloatArray]:
+    """Return pairs of images in the order of time, and the ends of sessions, seconds.
+
+    Where the clock of the file that tells the times starts again, what follows is moved behind.
+
+    Raises:
+        LoopcloseError: too many times are equal.
+    """
+    stamps_s = np.array([pair.timestamp_s for pair in pairs])
+    kept, times_s, clock = in_order(stamps_s, file, warnings)
+    ordered = zip(kept, times_s.tolist(), strict=True)
+    return [replace(pairs[i], timestamp_s=time_s) for i, time_s in ordered], clock.ends_s
 
 
 class Sequence:
@@ -63,31 +82,45 @@ class Sequence:
         ground_truth: Trajectory | None = None,
         warnings: tuple[str, ...] = (),
         registration: Registration | None = None,
-        read_color_file: ColorReader = read_color,
+        read_color_file: ColorReader | None = None,
         read_depth_file: DepthReader | None = None,
         images_are_files: bool = True,
+        session_ends_s: Items[float] | FloatArray = (),
     ) -> None:
         """Look at which files exist, and at a few of them for signs of wrong settings.
 
         Colour and depth files that do not show the same pixel by pixel need a `registration`,
-        colour files that are no images a `read_color_file`, and depth files that are no images of
-        16 bits in the camera's depth scale a `read_depth_file`. Any thread may call those. Where
-        `images_are_files` is false, paths are only names, which those functions know.
+        colour files that are no images a `read_color_file`, and depth files that are neither images
+        in the camera's depth scale nor of floating-point metres a `read_depth_file`. Any thread may
+        call those. Where `images_are_files` is false, paths are only names, which those functions
+        know. Where `session_ends_s` names times, it is several recordings, one after the other.
 
         Raises:
             SlamError: more than half of the frames miss a file, or the images do not fit together.
         """
         self.name = name
-        self.camera = camera
         self.ground_truth = ground_truth
         self._registration = registration
-        self._read_color = read_color_file
-        self._read_depth = read_depth_file or partial(read_depth, depth_scale=camera.depth_scale)
         self._listed = len(images)
+        self._session_ends_s = session_ends_s
         self._skipped: dict[float, BrokenImage] = {}
         self._images = [pair for pair in images if not images_are_files or self._exists(pair)]
         self.timestamps_s: FloatArray = np.array([pair.timestamp_s for pair in self._images])
+        bits = 8 if read_color_file else color_bits([p.color_path for p in self._some(_SAMPLES_16)])
+        self._read_color = read_color_file or partial(read_color, bits=bits)
+        units = camera.depth_scale
+        if read_depth_file is None:
+            units = depth_units((p.depth_path for p in self._some(_SAMPLES)), units)
+        self.camera = replace(camera, depth_scale=units)
+        self._read_depth = read_depth_file or partial(read_depth, depth_scale=units)
         self._warnings = [*warnings, *doubts_about_intrinsics(camera), *self._doubts_about_depth()]
+        if 8 < bits < 16:
+            self._warnings.append(f"the colour images use {bits} of their 16 bits")
+        if units != camera.depth_scale:
+            self._warnings.append(
+                "the depth images hold floating-point numbers and are taken to be in metres,"
+                f" whatever the depth scale ({camera.depth_scale:g})"
+            )
 
     def __len__(self) -> int:
         return len(self._images)
@@ -132,6 +165,28 @@ class Sequence:
             f" missing or broken; the first: {why}: {path}",
         )
 
+    def sessions(self) -> "list[Sequence]":
+        """Return the recordings that this one consists of; most are one.
+
+        They follow one another in time, and have the truth in common; the first has the warnings.
+        """
+        cuts = np.searchsorted(self.timestamps_s, self._session_ends_s)
+        starts, ends = [0, *cuts.tolist()], [*cuts.tolist(), len(self)]
+        bounds = [(start, end) for start, end in zip(starts, ends, strict=True) if start < end]
+        if len(bounds) < 2:
+            return [self]
+        return [self._part(k, start, end) for k, (start, end) in enumerate(bounds, start=1)]
+
+    def _part(self, number: int, start: int, end: int) -> "Sequence":
+        part = copy(self)
+        part.name = f"{self.name}, session {number}"
+        part.timestamps_s = self.timestamps_s[start:end]
+        part._images = self._images[start:end]
+        part._listed = end - start
+        part._skipped = self._skipped if number == 1 else {}
+        part._warnings = self._warnings if number == 1 else []
+        return part
+
     def _exists(self, pair: ImagePair) -> bool:
         for path in (pair.color_path, pair.depth_path):
             if not (is_file(path) or is_file(path.parent)):  # the latter is a video
@@ -147,9 +202,13 @@ class Sequence:
                 f" the sequence unpacked completely? the last: {broken.why}: {broken.path}"
             )
 
+    def _some(self, count: int) -> list[ImagePair]:
+        """Return about so many pairs, spread over the recording."""
+        spread = np.linspace(0, len(self) - 1, count).astype(int)
+        return [self._images[i] for i in sorted(set(spread.tolist())) if i >= 0]
+
     def _doubts_about_depth(self) -> list[str]:
-        spread = np.linspace(0, len(self) - 1, _SAMPLES).astype(int)
-        frames = [self._read(self._images[i]) for i in sorted(set(spread.tolist()))]
+        frames = [self._read(pair) for pair in self._some(_SAMPLES)]
         depths_m = [frame.depth_m for frame in frames if isinstance(frame, Frame)]
         return doubts_about_depth(depths_m, self.camera.depth_scale)
 
@@ -203,7 +262,7 @@ _ASPECT = (0.8, 1.25)
 _MAX_CENTRE_OFFSET = 0.25
 _MEDIAN_DEPTH_M = (0.4, 4.5)  # what structured-light cameras indoors see; scales differ by 5
 _MAX_MISSING = 0.9
-_USUAL_SCALES = (5000.0, 1000.0)
+_USUAL_SCALES = (5000.0, 1000.0, 1.0)
 _USUAL_DEPTH_M = 2.0
 
 
@@ -249,13 +308,19 @@ def doubts_about_depth(depths_m: Items[NDArray[np.float32]], depth_scale: float)
     if not _MEDIAN_DEPTH_M[0] <= median_m <= _MEDIAN_DEPTH_M[1]:
         doubts.append(
             f"the median depth of {len(depths_m)} sampled images is {median_m:.3g} m with"
-            f" {depth_scale:g} units per metre; {_likely_scale(median_m * depth_scale)}"
+            f" {depth_scale:g} units per metre; {_advice(median_m * depth_scale)}"
         )
     return doubts
 
 
-def _likely_scale(median_units: float) -> str:
-    scale = min(
-        _USUAL_SCALES, key=lambda scale: abs(math.log(median_units / scale / _USUAL_DEPTH_M))
-    )
+def _advice(median_units: float) -> str:
+    """Return which scale would make it the depth of a room, if one does; not the one in use."""
+    nearest_m, farthest_m = _MEDIAN_DEPTH_M
+    scales = [each for each in _USUAL_SCALES if nearest_m <= median_units / each <= farthest_m]
+    if not scales:
+        return (
+            "no usual depth scale makes that the depth of a room; does it show one, or are the"
+            " images inverted, in another order of bytes, or something else than depth?"
+        )
+    scale = min(scales, key=lambda each: abs(math.log(median_units / each / _USUAL_DEPTH_M)))
     return f"--input.depth-scale {scale:g} would make it {median_units / scale:.3g} m"

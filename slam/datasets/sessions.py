@@ -13,7 +13,7 @@ class Sessions:
     """Recordings in the order of time; one alone is a session too.
 
     Attributes:
-        recordings: one per session.
+        recordings: one per session; one whose clock starts again is as many.
         camera: the camera of all.
         ground_truth: the true poses of those that have some, taken to be in one frame of
             reference; None where there are none.
@@ -28,6 +28,7 @@ class Sessions:
         for before, after in pairwise(recordings):
             _check_camera(before, after)
             _check_order(before, after)
+        recordings = [session for each in recordings for session in each.sessions()]
         self.recordings = recordings
         self.camera = recordings[0].camera
         self.ground_truth = _joined_truth(recordings)

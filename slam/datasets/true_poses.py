@@ -6,34 +6,25 @@ from pathlib import Path
 
 import numpy as np
 
+from placerec.datasets.times import Clock, in_order, like_images
 from placerec.datasets.tum_lists import as_numbers, read_lines, read_poses
 from slam.evaluation.trajectory import from_rows, placeable
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
-
-def in_order(stamps_s: FloatArray, file: Path, warnings: list[str]) -> list[int]:
-    """Return which of (N,) times to keep, in the order of time: of equal ones the first."""
-    order = np.argsort(stamps_s, kind="stable")
-    is_new = np.concatenate([[True], np.diff(stamps_s[order]) > 0.0])
-    if (np.diff(stamps_s) < 0.0).any():
-        warnings.append(f"{file.name} is not in the order of time; it was sorted")
-    if not is_new.all():
-        warnings.append(
-            f"{file.name} has {int((~is_new).sum())} line(s) whose timestamp came before; the"
-            " first of each was used"
-        )
-    kept: list[int] = order[is_new].tolist()
-    return kept
-
-
 _MAX_SKEW = 1e-2  # files with few digits are no exact rotations; a scale or a shear is none at all
 
 
-def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
+def read_pose_list(
+    file: Path,
+    warnings: list[str],
+    images_s: FloatArray | None = None,
+    clock: Clock | None = None,
+) -> Trajectory | None:
     """Read a pose per line, `timestamp tx ty tz qx qy qz qw`, or None where there is no line.
 
-    Lines that say that the pose is not known are gaps.
+    Lines that say that the pose is not known are gaps. Where the (N,) times of the images as
+    listed, seconds, and their clock are given, those of the poses are made to be by the same.
 
     Raises:
         LoopcloseError: a line is no pose.
@@ -43,8 +34,11 @@ def read_pose_list(file: Path, warnings: list[str]) -> Trajectory | None:
         warnings.append(f"{file.name} holds no pose, so there is no ground truth")
         return None
     table = np.array(rows)
-    table = table[in_order(table[:, 0], file, warnings)]
-    return known_poses(from_rows(table), file, warnings)
+    if images_s is not None:
+        table[:, 0] = like_images(table[:, 0], images_s, file, warnings)
+    kept, times_s, _ = in_order(table[:, 0], file, warnings, clock)
+    poses = from_rows(np.column_stack([times_s, table[kept, 1:]]))
+    return known_poses(poses, file, warnings)
 
 
 def known_poses(poses: Trajectory, file: Path, warnings: list[str]) -> Trajectory | None:

@@ -4,22 +4,30 @@
 Or with images already paired by its associate.py, or as ORB-SLAM asks for: associations.txt alone.
 """
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from placerec.datasets.tum_lists import as_numbers, nearest, read_images, read_lines
+from placerec.datasets.times import Clock, in_order, in_seconds
+from placerec.datasets.tum_lists import (
+    as_numbers,
+    is_whole,
+    named_file,
+    nearest,
+    read_images,
+    read_lines,
+    split_fields,
+    without_header,
+)
 from placerec.files import is_file
 from slam.config import InputConfig
-from slam.datasets.cameras import freiburg_camera, named_camera, rescaled
+from slam.datasets.cameras import freiburg_camera, is_freiburg, named_camera, rescaled
 from slam.datasets.images import is_depth
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import in_order, read_pose_list
+from slam.datasets.true_poses import read_pose_list
 from slam.types import FloatArray, IntArray, SlamError
 
-_SEPARATOR = re.compile(r"[\s,]+")
 _NEIGHBOURS = 8  # a stamp's partner is looked for among this many nearest ones
 _MANY_UNPAIRED = 0.1
 
@@ -27,30 +35,35 @@ _MANY_UNPAIRED = 0.1
 def open_tum(path: Path, config: InputConfig) -> Sequence:
     """Open a folder of rgb.txt, depth.txt and, where the truth is known, groundtruth.txt."""
     warnings: list[str] = []
-    color_s, color_paths = _read_image_list(path / "rgb.txt", warnings)
-    depth_s, depth_paths = _read_image_list(path / "depth.txt", warnings)
-    pairs = pair_in_time(color_s, depth_s, config.max_time_difference_s, path, warnings)
-    images = [ImagePair(float(color_s[i]), color_paths[i], depth_paths[k]) for i, k in pairs]
-    return _sequence(path, config, images, warnings)
+    listed_s, color_paths = read_images(path / "rgb.txt", warnings)
+    colors, color_s, clock = in_order(listed_s, path / "rgb.txt", warnings)
+    depth_listed_s, depth_paths = read_images(path / "depth.txt", warnings)
+    depths, depth_s, _ = in_order(depth_listed_s, path / "depth.txt", warnings, clock)
+    images = [
+        ImagePair(float(color_s[i]), color_paths[colors[i]], depth_paths[depths[k]])
+        for i, k in pair_in_time(color_s, depth_s, config.max_time_difference_s, path, warnings)
+    ]
+    return _sequence(path, config, images, listed_s, clock, warnings)
 
 
 def _sequence(
-    path: Path, config: InputConfig, images: list[ImagePair], warnings: list[str]
+    path: Path,
+    config: InputConfig,
+    images: list[ImagePair],
+    listed_s: FloatArray,
+    clock: Clock,
+    warnings: list[str],
 ) -> Sequence:
-    truth = path / "groundtruth.txt"
+    file = path / "groundtruth.txt"
+    truth = read_pose_list(file, warnings, listed_s, clock) if file.is_file() else None
     return Sequence(
         path.resolve().name,
         rescaled(named_camera(path, config) or freiburg_camera(path), config),
         images,
-        ground_truth=read_pose_list(truth, warnings) if truth.is_file() else None,
+        ground_truth=truth,
         warnings=tuple(warnings),
+        session_ends_s=clock.ends_s,
     )
-
-
-def _read_image_list(file: Path, warnings: list[str]) -> tuple[FloatArray, list[Path]]:
-    stamps_s, paths = read_images(file)
-    kept = in_order(stamps_s, file, warnings)
-    return stamps_s[kept], [paths[i] for i in kept]
 
 
 def open_associations(path: Path, config: InputConfig) -> Sequence:
@@ -61,31 +74,42 @@ def open_associations(path: Path, config: InputConfig) -> Sequence:
     """
     warnings: list[str] = []
     file = path / "associations.txt"
-    rows = [_read_association(number, line, file) for number, line in read_lines(file)]
+    lines = without_header(read_lines(file))
+    rows = [_read_association(number, line, file) for number, line in lines]
     if not rows:
         raise SlamError(f"the list names no image: {file}")
-    if all(first_s == second_s == int(first_s) for (first_s, _), (second_s, _) in rows):
-        raise SlamError(
-            "the list counts images and tells no times in seconds; ICL-NUIM's do, but then there is"
-            f" a *.gt.freiburg in the folder: {file}"
-        )
     if _depth_is_first(rows, file):
         rows = [(second, first) for first, second in rows]
-    images = [ImagePair(time_s, color, depth) for (time_s, color), (_, depth) in rows]
-    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
-    return _sequence(path, config, [images[i] for i in kept], warnings)
+    stamps = [stamp for (stamp, _), _ in rows]
+    are_whole = all(is_whole(stamp) for stamp in stamps)
+    if are_whole and not _knows_camera(path, config):
+        raise SlamError(
+            "the list counts images, and which camera made them is not known; ICL-NUIM's do, but"
+            " then there is a *.gt.freiburg in the folder; for those of another put a camera.toml"
+            f" there: {file}"
+        )
+    listed_s = in_seconds(np.array(stamps, np.float64), file, warnings, are_whole=are_whole)
+    kept, times_s, clock = in_order(listed_s, file, warnings)
+    images = [
+        ImagePair(time_s, rows[i][0][1], rows[i][1][1])
+        for i, time_s in zip(kept, times_s.tolist(), strict=True)
+    ]
+    return _sequence(path, config, images, listed_s, clock, warnings)
 
 
-_Stamped = tuple[float, Path]
+def _knows_camera(path: Path, config: InputConfig) -> bool:
+    return is_freiburg(path) or named_camera(path, config) is not None
+
+
+_Stamped = tuple[str, Path]
 
 
 def _read_association(number: int, line: str, file: Path) -> tuple[_Stamped, _Stamped]:
-    fields = _SEPARATOR.split(line)
-    stamps_s = as_numbers(" ".join(fields[::2]))
-    if len(fields) != 4 or stamps_s is None:
+    fields = split_fields(line)
+    if len(fields) != 4 or as_numbers(" ".join(fields[::2])) is None:
         raise SlamError(f'line {number} is not "time image time image": {line!r}: {file}')
-    first, second = (file.parent / name for name in fields[1::2])
-    return (stamps_s[0], first), (stamps_s[1], second)
+    first, second = (named_file(file.parent, name) for name in fields[1::2])
+    return (fields[0], first), (fields[2], second)
 
 
 def _depth_is_first(rows: list[tuple[_Stamped, _Stamped]], file: Path) -> bool:
@@ -96,7 +120,8 @@ def _depth_is_first(rows: list[tuple[_Stamped, _Stamped]], file: Path) -> bool:
         if is_file(first) and is_file(second):
             break
     (_, first), (_, second) = rows[0]
-    named = ["depth" in path.relative_to(file.parent).as_posix() for path in (first, second)]
+    folder = file.parent.as_posix()
+    named = ["depth" in path.as_posix().removeprefix(folder) for path in (first, second)]
     if named[0] != named[1]:
         return named[0]
     raise SlamError(

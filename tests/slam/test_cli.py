@@ -304,7 +304,7 @@ def test_unsorted_and_duplicated_lists_are_mended_and_told(run_slam, short_recor
     ran = run_slam(folder, *QUICK)
     assert "6 of 6 tracked" in ran.frames
     assert [w for w in ran.warnings if "rgb.txt is not in the order of time" in w]
-    assert [w for w in ran.warnings if "1 line(s) whose timestamp came before" in w]
+    assert [w for w in ran.warnings if "1 line(s) that came before" in w]
 
 
 @pytest.mark.parametrize("kind", ["rgb", "depth"])

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.images import BrokenImage
+from placerec.datasets.times import in_seconds
 from placerec.files import read_json
 from slam.config import InputConfig
 from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
-from slam.datasets.images import FRAMES_PER_S, numbered_images, read_color
-from slam.datasets.phones.exr import read_exr
+from slam.datasets.images import FRAMES_PER_S, numbered_images, read_color, read_exr
 from slam.datasets.phones.fitting import Fitting
-from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.true_poses import in_order
+from slam.datasets.sequence import ImagePair, Sequence, pairs_in_order
 from slam.types import Camera, SlamError
 
 _DEPTH_NAME = re.compile(r"(\d+)\.exr")
@@ -50,17 +49,18 @@ def open_record3d(path: Path, config: InputConfig) -> Sequence:
     camera = named_camera(path, config) or _read_camera(metadata, file, warnings)
     fitting = Fitting(rescaled(camera, config))
     units_per_m = fitting.color_camera.depth_scale
-    stamps_s = _read_times(metadata, list(colors), file)
+    stamps_s = _read_times(metadata, list(colors), file, warnings)
     images = [
         ImagePair(stamps_s[n], color, depths.get(n, path / "depth" / f"{n}.exr"))
         for n, color in colors.items()
     ]
-    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
+    images, ends_s = pairs_in_order(images, file, warnings)
     return Sequence(
         path.resolve().name,
         fitting.camera,
-        [images[i] for i in kept],
+        images,
         warnings=tuple(warnings),
+        session_ends_s=ends_s,
         read_color_file=lambda file: fitting.fit_color(read_color(file), file),
         read_depth_file=lambda file: fitting.fit_depth(_read_depth(file, units_per_m), file),
     )
@@ -94,13 +94,16 @@ def _read_camera(metadata: dict[str, Any], file: Path, warnings: list[str]) -> C
     return replace(camera_of_matrix(K, size, file), depth_scale=1.0)
 
 
-def _read_times(metadata: dict[str, Any], frames: list[int], file: Path) -> dict[int, float]:
+def _read_times(
+    metadata: dict[str, Any], frames: list[int], file: Path, warnings: list[str]
+) -> dict[int, float]:
     """Return the time, seconds, of each of the frames, which increase."""
     count = frames[-1] + 1
     if metadata.get("frameTimestamps"):
         stamps_s = _numbers(metadata, "frameTimestamps", file)
         if stamps_s.ndim != 1 or len(stamps_s) < count:
             raise SlamError(f"frameTimestamps are {len(stamps_s)}, for {count} images: {file}")
+        stamps_s = in_seconds(stamps_s, file, warnings)
         return {frame: float(stamps_s[frame]) for frame in frames}
     rate = _numbers(metadata, "fps", file) if "fps" in metadata else np.array(FRAMES_PER_S)
     if rate.ndim or rate <= 0.0:

@@ -13,17 +13,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.images import BrokenImage, content_of, decode
+from placerec.datasets.images import BrokenImage, decode
 from placerec.datasets.tables import read_csv
+from placerec.datasets.times import in_order, in_seconds
 from placerec.datasets.tum_lists import as_numbers
-from placerec.files import array_of
 from slam.config import InputConfig
 from slam.datasets.cameras import camera_of_matrix, named_camera, rescaled
 from slam.datasets.images import numbered_images, read_color, read_depth, read_size
 from slam.datasets.phones.fitting import Fitting
 from slam.datasets.phones.video import Video
-from slam.datasets.sequence import ColorReader, ImagePair, Sequence
-from slam.datasets.true_poses import in_order, read_matrix
+from slam.datasets.sequence import ColorReader, ImagePair, Sequence, pairs_in_order
+from slam.datasets.true_poses import read_matrix
 from slam.evaluation.trajectory import from_rows
 from slam.types import SlamError, Trajectory
 
@@ -42,7 +42,9 @@ def open_stray_scanner(path: Path, config: InputConfig) -> Sequence:
     """
     warnings: list[str] = []
     file = path / "odometry.csv"
-    stamps_s = {frame: row[0] for frame, row in _read_odometry(file)}
+    rows = _read_odometry(file)
+    times_s = in_seconds(np.array([row[0] for _, row in rows]), file, warnings)
+    stamps_s = {frame: time_s for (frame, _), time_s in zip(rows, times_s.tolist(), strict=True)}
     depths = numbered_images(path / "depth", _DEPTH_NAME)
     colors, read, size = _colors(path, stamps_s, warnings)
     camera = named_camera(path, config) or camera_of_matrix(
@@ -59,12 +61,13 @@ def open_stray_scanner(path: Path, config: InputConfig) -> Sequence:
     ]
     if not images:
         raise SlamError(f"no line is of a frame that has a colour image: {file}")
-    kept = in_order(np.array([pair.timestamp_s for pair in images]), file, warnings)
+    images, ends_s = pairs_in_order(images, file, warnings)
     return Sequence(
         path.resolve().name,
         fitting.camera,
-        [images[i] for i in kept],
+        images,
         warnings=tuple(warnings),
+        session_ends_s=ends_s,
         read_color_file=lambda file: fitting.fit_color(read(file), file),
         read_depth_file=lambda file: fitting.fit_depth(_read_depth(file, units_per_m), file),
     )
@@ -80,7 +83,9 @@ def stray_odometry(path: Path) -> Trajectory:
     """
     file = path / "odometry.csv"
     rows = np.array([row for _, row in _read_odometry(file)])
-    return from_rows(rows[in_order(rows[:, 0], file, [])])
+    rows[:, 0] = in_seconds(rows[:, 0], file, [])
+    kept, times_s, _ = in_order(rows[:, 0], file, [])
+    return from_rows(np.column_stack([times_s, rows[kept, 1:]]))
 
 
 def _read_odometry(file: Path) -> list[tuple[int, list[float]]]:
@@ -118,8 +123,7 @@ def _colors(
 
 def _read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
     """Return depth, metres, 0 where unknown or hardly trusted."""
-    read = _read_array if path.suffix == ".npy" else read_depth
-    depth_m = read(path, depth_scale)
+    depth_m = read_depth(path, depth_scale)
     if isinstance(depth_m, BrokenImage):
         return depth_m
     folder = path.parent.with_name("confidence")
@@ -131,17 +135,3 @@ def _read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenI
             return BrokenImage(folder / f"{path.stem}.png", "not of the size of its depth image")
         depth_m[confidence < _MIN_CONFIDENCE] = 0.0
     return depth_m
-
-
-def _read_array(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
-    content = content_of(path)
-    if isinstance(content, BrokenImage):
-        return content
-    try:
-        depth = array_of(content)
-    except ValueError:
-        return BrokenImage(path, "the file is cut off, or no array")
-    if depth.ndim != 2 or depth.dtype.kind not in "uif":
-        return BrokenImage(path, "not an array of rows and columns of numbers")
-    depth_m = depth.astype(np.float32) / np.float32(depth_scale)
-    return np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))

@@ -87,3 +87,11 @@ def test_file_name_of_another_kind_is_refused(tower):
     (folder / "dataset.csv").write_text("image_path,floor\nimages/IMG_1234.jpg,floor6\n")
     with pytest.raises(LoopcloseError, match=r"line 2 names 'IMG_1234\.jpg', not like"):
         read_clips(folder)
+
+
+def test_paths_of_windows_are_read(tower):
+    folder = tower({"floor6": {"a": 4}})
+    table = folder / "dataset.csv"
+    before = read_clips(folder).paths
+    table.write_text(table.read_text().replace("images/", "images\\"))
+    assert read_clips(folder).paths == before

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from placerec.datasets.frame_pairs import read_frame_pairs
+from placerec.datasets.frame_pairs import read_drives, read_frame_pairs
 from placerec.errors import LoopcloseError
 
 
@@ -32,6 +32,23 @@ def test_without_a_table_the_tolerance_decides(drives):
         [0, 1, 1, 1],
         [0, 0, 1, 1],
     ]
+
+
+def test_frames_are_counted_without_what_is_no_frame_of_the_drive(tmp_path, write_image):
+    for drive in ("query", "ref"):
+        for i in range(12):
+            write_image(tmp_path / drive / f"{i}.png", seed=i)
+        (tmp_path / drive / "Thumbs.db").write_bytes(b"no image")
+    for i in range(12):  # on one side only: all numbers behind would be off
+        (tmp_path / "query" / f"._{i}.png").write_bytes(b"of a Mac")
+    for dataset in (
+        read_frame_pairs(tmp_path),
+        read_drives(tmp_path / "query", tmp_path / "ref"),
+    ):
+        for i, k in np.argwhere(dataset.same_place):
+            query, reference = dataset.paths[i], dataset.paths[dataset.references[k]]
+            assert abs(int(query.stem) - int(reference.stem)) <= 2
+        assert dataset.skipped == () and len(dataset) == 24
 
 
 def test_table_decides_where_there_is_one(drives):

@@ -3,7 +3,7 @@ import cv2
 import numpy as np
 import pytest
 
-from placerec.datasets.images import BrokenImage, find_fault, images_in, read_image
+from placerec.datasets.images import BrokenImage, find_fault, images_in, natural_order, read_image
 
 
 def test_image_is_rgb(tmp_path):
@@ -41,6 +41,27 @@ def test_file_that_is_no_image_is_broken(tmp_path, content, why):
 
 def test_missing_file_is_broken(tmp_path):
     assert find_fault(tmp_path / "gone.png").why == "No such file or directory"
+
+
+def test_hidden_files_are_no_images_and_numbers_need_no_zeros(tmp_path, write_image):
+    for i in (0, 1, 2, 10, 11, 100):
+        write_image(tmp_path / f"{i}.jpg")
+        (tmp_path / f"._{i}.jpg").write_bytes(b"of a Mac")
+    (tmp_path / "3.jpg").mkdir()
+    assert [int(path.stem) for path in images_in(tmp_path)] == [0, 1, 2, 10, 11, 100]
+
+
+def test_names_that_are_times_are_in_their_order():
+    names = ["a9.png", "a10.png", "b1.25.png", "b1.3.png", "b1.30.png", "b2.png", "c"]
+    shuffled = [names[i] for i in (3, 6, 0, 5, 2, 1, 4)]
+    assert sorted(shuffled, key=natural_order) == names
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_of_16_bits_those_that_are_used_are_seen(tmp_path, bits):
+    light = np.arange(0, 256, dtype=np.uint16).reshape(16, 16) << (bits - 8)
+    cv2.imwrite(str(tmp_path / "grey.png"), light)
+    np.testing.assert_array_equal(read_image(tmp_path / "grey.png")[..., 0], light >> (bits - 8))
 
 
 def test_only_images_of_a_folder_by_name(tmp_path, write_image):

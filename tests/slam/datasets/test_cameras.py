@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
+import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from slam.config import InputConfig
 from slam.datasets import read_camera, write_camera
-from slam.datasets.cameras import FREIBURG, freiburg_camera, named_camera, rescaled
+from slam.datasets.cameras import (
+    FREIBURG,
+    camera_of_matrix,
+    freiburg_camera,
+    named_camera,
+    read_intrinsics,
+    rescaled,
+)
 from slam.types import Camera, SlamError
 
 GOOD = {
@@ -115,3 +124,88 @@ def test_the_users_file_goes_before_the_folders(tmp_path: Path) -> None:
 def test_a_given_depth_scale_overrides_the_cameras() -> None:
     assert rescaled(FREIBURG["1"], InputConfig()) == FREIBURG["1"]
     assert rescaled(FREIBURG["1"], InputConfig(depth_scale=1000.0)).depth_scale == 1000.0
+
+
+PINHOLE = {"fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.25}
+ROWS = [[30.0, 0.0, 15.5], [0.0, 31.0, 11.25], [0.0, 0.0, 1.0]]
+COLUMNS = [list(column) for column in zip(*ROWS, strict=True)]
+SIZE = {"width": 32, "height": 24}
+
+
+def flat(matrix):
+    return [value for row in matrix for value in row]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {**SIZE, **PINHOLE},
+        {**SIZE, "fx": 30.0, "fy": 31.0, "ppx": 15.5, "ppy": 11.25, "coeffs": [0.0] * 5},
+        {"w": 32, "h": 24, **PINHOLE, "scale": 1000.0},
+        {"w": 32, "h": 24, "fl_x": 30.0, "fl_y": 31.0, "cx": 15.5, "cy": 11.25},
+        {"camera": {"w": 32, "h": 24, **PINHOLE, "scale": 1000.0}},
+        {"camera": {**SIZE, **PINHOLE}},
+        {"intrinsics": {**SIZE, **PINHOLE}, "depth_scale": 0.001},
+        {**SIZE, "color": {"fx": 30.0, "fy": 31.0, "ppx": 15.5, "ppy": 11.25}},
+        {**SIZE, "intrinsic_matrix": flat(COLUMNS)},
+        {**SIZE, "intrinsic_matrix": flat(ROWS)},
+        {**SIZE, "intrinsic_matrix": ROWS},
+        {**SIZE, "intrinsic_matrix": COLUMNS},
+        {**SIZE, "K": ROWS, "D": [0.0] * 5, "distortion_model": "plumb_bob"},
+        {**SIZE, "intrinsics": ROWS},
+        {**SIZE, "camera": {"K": flat(ROWS)}},
+        {**SIZE, "K": [[*row, 0.0] for row in ROWS] + [[0.0, 0.0, 0.0, 1.0]]},
+        {**SIZE, "camera_matrix": {"rows": 3, "cols": 3, "data": flat(ROWS)}},
+        {"image_width": 32, "image_height": 24, "camera_matrix": {"data": flat(ROWS)}},
+    ],
+)
+def test_intrinsics_are_read_whatever_they_are_called_and_however_they_are_laid_out(
+    tmp_path, values
+):
+    file = tmp_path / "intrinsic.json"
+    file.write_text(json.dumps(values))
+    camera = read_intrinsics(file)
+    assert camera == Camera(32, 24, 30.0, 31.0, 15.5, 11.25, depth_scale=1000.0)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"coeffs": [0.1, -0.2, 0.001, 0.002, 0.03], "model": "distortion.brown_conrady"},
+        {"D": [0.1, -0.2, 0.001, 0.002, 0.03]},
+        {"dist_coeffs": [[0.1, -0.2, 0.001, 0.002, 0.03]]},
+        {"distortion_coefficients": {"data": [0.1, -0.2, 0.001, 0.002, 0.03]}},
+        {"k1": 0.1, "k2": -0.2, "p1": 0.001, "p2": 0.002, "k3": 0.03},
+    ],
+)
+def test_the_lens_is_read_whatever_it_is_called(tmp_path, lens):
+    file = tmp_path / "intrinsic.json"
+    file.write_text(json.dumps({**SIZE, **PINHOLE, **lens}))
+    assert read_intrinsics(file).distortion == (0.1, -0.2, 0.001, 0.002, 0.03)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({**SIZE, "fx": 3.0, "fy": 3.0}, "the camera key cx is missing; what is read is width, "),
+        (PINHOLE, "the camera key width is missing; what is read is width, "),
+        ({**SIZE, "K": [[1, 2], [3, 4]]}, "K does not have 9 numbers"),
+        ({**SIZE, "K": None}, "K does not have 9 numbers"),
+        ({**SIZE, "K": {"data": 3}}, "K does not have 9 numbers"),
+        ({**SIZE, **PINHOLE, "D": [0.1] * 4, "model": "fisheye"}, "lens model 'fisheye'"),
+        ({**SIZE, **PINHOLE, "D": ["x"] * 5}, "camera key distortion"),
+        ({**SIZE, **PINHOLE, "D": [0.1] * 8}, "camera key distortion"),
+    ],
+)
+def test_intrinsics_that_lack_something_say_what_is_read(tmp_path, values, said):
+    file = tmp_path / "intrinsic.json"
+    file.write_text(json.dumps(values))
+    with pytest.raises(SlamError, match=re.escape(said)) as caught:
+        read_intrinsics(file)
+    assert str(caught.value).endswith(str(file))
+
+
+@pytest.mark.parametrize("matrix", [ROWS, COLUMNS])
+def test_a_matrix_is_read_by_rows_or_by_columns(matrix):
+    camera = camera_of_matrix(np.array(matrix), (32, 24), Path("K.txt"))
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == tuple(PINHOLE.values())

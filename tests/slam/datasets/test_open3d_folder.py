@@ -307,7 +307,7 @@ def test_a_missing_depth_image_is_skipped(realsense: Path, opened: Opened) -> No
         ("0,0.0\n1.5,0.1\n", "line 2 is neither"),
         ("0.0\n0.1\n0.2\n", "there are 3 times for 6 images"),
         ("7,0.0\n8,0.1\n", "no line is of an image in color/"),
-        ("0,0\n1,33000000\n2,66000000\n", "seconds or milliseconds are expected"),
+        ("0,0\n1,33000000000\n2,66000000000\n", "milliseconds, microseconds or nanoseconds are"),
     ],
 )
 def test_a_list_that_is_wrong_is_named(realsense: Path, text: str, said: str, fails: Fails) -> None:

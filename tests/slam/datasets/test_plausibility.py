@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,26 @@ def test_a_scale_that_puts_everything_far_away_is_named_with_a_better_one() -> N
 def test_a_scale_that_puts_everything_too_near_is_named_with_a_better_one() -> None:
     [doubt] = doubts_about_depth(depth(0.1), 20000.0)
     assert "--input.depth-scale 1000 would make it 2 m" in doubt
+
+
+@pytest.mark.parametrize("depth_scale", [5000.0, 1000.0, 1.0])
+@pytest.mark.parametrize("median_m", [0.0002, 0.05, 7.0, 13.0, 50.0, 2000.0])
+def test_no_scale_is_proposed_that_changes_nothing_or_is_absurd(
+    median_m: float, depth_scale: float
+) -> None:
+    [doubt] = doubts_about_depth(depth(median_m), depth_scale)
+    advised = re.search(r"--input.depth-scale (\d+) would make it ([\d.]+) m", doubt)
+    if advised is None:
+        assert "no usual depth scale" in doubt and "order of bytes" in doubt
+        return
+    scale, becomes_m = float(advised[1]), float(advised[2])
+    assert scale != depth_scale and 0.4 <= becomes_m <= 4.5
+    assert becomes_m == pytest.approx(median_m * depth_scale / scale, rel=0.01)
+
+
+def test_depth_in_whole_metres_is_known() -> None:
+    [doubt] = doubts_about_depth(depth(2.0 / 5000.0), 5000.0)
+    assert "--input.depth-scale 1 would make it 2 m" in doubt
 
 
 def test_mostly_missing_depth_is_named() -> None:

@@ -283,3 +283,37 @@ def test_poses_of_two_frames_are_refused_without_times_too(tmp_path):
     (tmp_path / "kitti.txt").write_text("\n".join(rows) + "\n")
     with pytest.raises(LoopcloseError, match="two frames or two bodies are mixed"):
         read_pose_file(tmp_path / "kitti.txt", STAMPS_S)
+
+
+@pytest.mark.parametrize("per_s", [1e3, 1e6, 1e9])
+@pytest.mark.parametrize("start_s", [100.0, 1.3e9])
+def test_times_in_another_unit_are_seconds_and_said(tmp_path, per_s, start_s):
+    images_s = start_s + np.arange(COUNT) / 10
+    stamps = [f"{time_s * per_s:.0f}" for time_s in images_s]
+    found = read_pose_file(write(tmp_path, tum(T, stamps)), images_s)
+    assert (found.format.name, found.stamps) == ("TUM", tuple(stamps))
+    np.testing.assert_allclose(found.trajectory.timestamps_s, images_s)
+    np.testing.assert_allclose(found.trajectory.T_world_cam, T, atol=1e-9)
+    assert "which lays them on the images'" in found.warnings[0]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_times_may_be_the_numbers_of_the_images(tmp_path, first):
+    stamps = [str(first + i) for i in range(COUNT)]
+    found = read_pose_file(write(tmp_path, tum(T, stamps)), STAMPS_S)
+    np.testing.assert_array_equal(found.trajectory.timestamps_s, STAMPS_S)
+    assert found.stamps == tuple(stamps)
+    assert "numbers of the images" in found.warnings[0]
+
+
+def test_a_clock_that_starts_again_is_refused(tmp_path):
+    stamps = [f"{100 + i % 8 / 10:.4f}" for i in range(16)]
+    poses = tum(np.concatenate([T, T]), stamps)
+    refused(write(tmp_path, poses), "the clock of the poses starts again 1 time(s)")
+
+
+def test_poses_with_decimal_commas_are_read(tmp_path):
+    lines = [line.replace(".", ",") for line in tum()]
+    found = read_pose_file(write(tmp_path, lines), STAMPS_S)
+    np.testing.assert_allclose(found.trajectory.T_world_cam, T, atol=1e-9)
+    assert found.stamps == STAMPS

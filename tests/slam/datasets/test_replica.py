@@ -72,11 +72,15 @@ def test_a_camera_file_of_ours_goes_first(tiny: Path, tiny_walk: Any, opened: Op
     assert opened(tiny).camera == tiny_walk.camera_in(500.0)
 
 
+CAMERA_KEYS = {"w": 32, "h": 24, "fx": 3.0, "fy": 3.0, "cx": 1.0, "cy": 1.0}
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"camera": {"w": 32, "h": 24, "fx": 3.0, "fy": 3.0, "cx": 1.0, "cy": 1.0}}, "depth_scale"),
-        ({"camera": {"w": "wide"}}, "camera key width = 'wide'"),
+        ({"camera": CAMERA_KEYS}, "the camera key depth_scale is missing"),
+        ({"camera": {**CAMERA_KEYS, "scale": 0.0}}, "camera key depth_scale = 0"),
+        ({"camera": {**CAMERA_KEYS, "scale": 1.0, "w": "wide"}}, "camera key width = 'wide'"),
         ({"camera": 3}, "the camera key width is missing"),
     ],
 )

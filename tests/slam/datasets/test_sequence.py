@@ -165,3 +165,30 @@ def test_mostly_missing_depth_is_a_warning(make_folder: MakeFolder, opened: Open
     for i in range(2):
         cv2.imwrite(str(folder / f"depth/{i}.png"), np.zeros((24, 32), np.uint16))
     assert "100% of the depth pixels" in opened(folder).warnings[0]
+
+
+def test_colour_of_12_bits_in_16_is_seen_and_said(make_folder: MakeFolder, opened: Opened) -> None:
+    folder = make_folder()
+    for i in range(6):
+        light = np.full((24, 32), 16 * (100 + i), np.uint16)
+        light[0, 0] = 4000
+        cv2.imwrite(str(folder / f"rgb/{i}.png"), light)
+    sequence = opened(folder)
+    assert [frame.rgb[5, 5, 0] for frame in sequence] == [100 + i for i in range(6)]
+    assert sequence.warnings == ("the colour images use 12 of their 16 bits",)
+
+
+def test_depth_in_floating_point_metres_needs_no_scale_and_is_said(
+    make_folder: MakeFolder, opened: Opened
+) -> None:
+    folder = make_folder()
+    for i in range(6):
+        np.save(folder / f"depth/{i}.npy", np.full((24, 32), 1.0 + i / 10, np.float32))
+    listed = (folder / "depth.txt").read_text().replace(".png", ".npy")
+    (folder / "depth.txt").write_text(listed)
+    sequence = opened(folder)
+    assert sequence.camera.depth_scale == 1.0
+    for i, frame in enumerate(sequence):
+        np.testing.assert_allclose(frame.depth_m, 1.0 + i / 10, atol=1e-6)
+    (said,) = sequence.warnings
+    assert "floating-point numbers" in said and "5000" in said

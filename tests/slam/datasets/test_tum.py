@@ -100,7 +100,11 @@ def test_of_equal_times_the_first_is_used_and_said(make_folder: MakeFolder) -> N
     edit(folder / "rgb.txt", lambda lines: [*lines, "100.2 rgb/5.png", lines[-1]])
     sequence = open_sequence(folder, CONFIG)
     assert [frame.rgb[0, 0, 0] for frame in sequence] == list(range(6))
-    assert "rgb.txt has 2 line(s) whose timestamp came before" in sequence.warnings[-1]
+    assert sequence.warnings == (
+        "rgb.txt has 1 line(s) that came before; each was used once",
+        "rgb.txt is not in the order of time; it was sorted",
+        "rgb.txt has 1 line(s) whose timestamp came before; the first of each was used",
+    )
 
 
 def test_images_without_partner_are_counted(make_folder: MakeFolder) -> None:
@@ -387,7 +391,6 @@ def test_without_poses_associated_images_have_no_truth(associated: Path, opened:
         ("0.1 rgb/1.png 0.1 depth/1.png 4\n", 'line 1 is not "time image time image"'),
         ("0.1 rgb/1.png soon depth/1.png\n", 'line 1 is not "time image time image"'),
         ("nan rgb/1.png 0.1 depth/1.png\n", 'line 1 is not "time image time image"'),
-        ("1 rgb/1.png 1 depth/1.png\n", "the list counts images and tells no times"),
     ],
 )
 def test_an_association_list_that_is_wrong_is_named(
@@ -395,3 +398,100 @@ def test_an_association_list_that_is_wrong_is_named(
 ) -> None:
     (associated / "associations.txt").write_text(text)
     assert fails(associated, said).endswith("associations.txt")
+
+
+def stamped(folder: Path, stamp: Callable[[int], str], *names: str) -> None:
+    """Give line i of the lists, comments apart, another time."""
+    for name in names or ("rgb.txt", "depth.txt"):
+        rows = [
+            line.split() for line in (folder / name).read_text().splitlines() if "#" not in line
+        ]
+        lines = [" ".join([stamp(i), *row[1:]]) for i, row in enumerate(rows)]
+        (folder / name).write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("per_s", [1e3, 1e6, 1e9])
+def test_lists_in_another_unit_are_read_in_seconds_and_said(
+    make_folder: MakeFolder, per_s: float
+) -> None:
+    folder = make_folder()
+    (folder / "groundtruth.txt").write_text("\n".join(truth_lines()))
+    stamped(folder, lambda i: f"{(100 + i / 10) * per_s:.0f}", "rgb.txt", "groundtruth.txt")
+    sequence = open_sequence(folder, CONFIG)
+    np.testing.assert_allclose(sequence.timestamps_s, 100 + np.arange(6) / 10)
+    assert sequence.ground_truth is not None
+    np.testing.assert_allclose(sequence.ground_truth.timestamps_s, 100 + np.arange(6) / 10)
+    assert [warning.split(" ", 1)[0] for warning in sequence.warnings] == ["rgb.txt", "the"]
+
+
+def test_lists_of_numbers_are_taken_at_30_a_second(make_folder: MakeFolder) -> None:
+    folder = make_folder()
+    (folder / "groundtruth.txt").write_text("\n".join(truth_lines()))
+    stamped(folder, str, "rgb.txt", "depth.txt", "groundtruth.txt")
+    sequence = open_sequence(folder, CONFIG)
+    np.testing.assert_allclose(sequence.timestamps_s, np.arange(6) / 30)
+    assert sequence.ground_truth is not None
+    np.testing.assert_allclose(sequence.ground_truth.timestamps_s, np.arange(6) / 30)
+    assert sum("numbers of" in warning for warning in sequence.warnings) == 3
+
+
+def test_a_clock_that_starts_again_makes_two_sessions(make_folder: MakeFolder) -> None:
+    folder = make_folder(16)
+    (folder / "groundtruth.txt").write_text("\n".join(truth_lines(16)))
+    lists = ("rgb.txt", "depth.txt", "groundtruth.txt")
+    stamped(folder, lambda i: f"{i % 8 / 10 + 0.015 * (i >= 8):.4f}", *lists)
+    sequence = open_sequence(folder, CONFIG)
+    assert [frame.rgb[0, 0, 0] for frame in sequence] == list(range(16))
+    assert sequence.ground_truth is not None
+    np.testing.assert_allclose(sequence.ground_truth.timestamps_s, sequence.timestamps_s)
+    np.testing.assert_array_equal(sequence.ground_truth.T_world_cam[:, 0, 3], range(16))
+    first, second = sequence.sessions()
+    assert [frame.rgb[0, 0, 0] for frame in second] == list(range(8, 16))
+    assert first.timestamps_s.tolist() == (np.arange(8) / 10).tolist()
+    assert first.timestamps_s[-1] + 9.0 < second.timestamps_s[0]
+    assert first.warnings == sequence.warnings and second.warnings == ()
+    assert (first.name, second.name) == ("tiny, session 1", "tiny, session 2")
+
+
+def test_one_clock_that_starts_again_and_one_that_does_not_are_refused(
+    make_folder: MakeFolder, fails: Fails
+) -> None:
+    folder = make_folder(16)
+    stamped(folder, lambda i: f"{i % 8 / 10:.4f}", "rgb.txt")
+    fails(folder, "the clock of depth.txt starts again 0 time(s), that of the images 1 time(s)")
+
+
+def test_a_recording_of_one_clock_is_one_session(make_folder: MakeFolder) -> None:
+    sequence = open_sequence(make_folder(), CONFIG)
+    assert sequence.sessions() == [sequence]
+
+
+@pytest.mark.parametrize("stamp", [lambda i: str(i // 4), lambda i: "1.30503e+09"])
+def test_times_that_were_rounded_are_refused(
+    make_folder: MakeFolder, stamp: Callable[[int], str], fails: Fails
+) -> None:
+    folder = make_folder(8)
+    stamped(folder, stamp)
+    fails(folder, "of 8 lines have the time of another, as if times had been rounded")
+
+
+def test_associations_are_read_as_other_tools_write_them(
+    associated: Path, tiny_walk: Any, opened: Opened
+) -> None:
+    rewrite(associated, lambda row: [f'"{field}";' for field in row])
+    check_walk(opened(associated), tiny_walk)
+    text = (associated / "associations.txt").read_text().replace("/", "\\")
+    (associated / "associations.txt").write_text("time rgb time depth\n" + text)
+    check_walk(opened(associated), tiny_walk)
+
+
+def test_associations_may_count_the_images(associated: Path, opened: Opened) -> None:
+    rewrite(associated, lambda row: [str(round(30 * float(row[0]))), row[1], "7", row[3]])
+    sequence = opened(associated)
+    np.testing.assert_allclose(sequence.timestamps_s, np.arange(6) / 30.0)
+    assert "numbers of images, 30 a second" in sequence.warnings[0]
+
+
+def test_an_associated_image_may_lie_elsewhere(associated: Path, opened: Opened) -> None:
+    rewrite(associated, lambda row: [row[0], str(associated / row[1]), row[2], row[3]])
+    assert len(opened(associated)) == 6

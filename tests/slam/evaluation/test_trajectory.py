@@ -70,7 +70,7 @@ def test_reads_comments_blank_lines_commas_and_quaternions_of_any_length(tmp_pat
         ("1 0 0 x 0 0 0 1\n", "line 1 is not .* in finite numbers: '1 0 0 x 0 0 0 1'"),
         ("1 0 0 nan 0 0 0 1\n", "line 1 is not .* in finite numbers"),
         ("1 0 0 0 0 0 0 0\n", "line 1 has a quaternion of length zero"),
-        ("1 0 0 0 1e200 0 0 0\n", "line 1 has a quaternion of length 1e+200, not 1"),
+        ("1 0 0 0 1e200 0 0 0\n", "line 1 has a quaternion of length 1e.200, not 1"),
         ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2 .* 1.000000 is not after .* 2.000000"),
         ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2 .* one per timestamp"),
     ],

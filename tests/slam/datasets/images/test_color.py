@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from placerec.datasets.images import BrokenImage
-from slam.datasets.images import is_depth, read_color, read_depth
-from slam.types import SlamError
+from slam.datasets.images import color_bits, read_color
 
 NOISE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-DEPTH = np.random.default_rng(1).integers(0, 65536, (48, 64), dtype=np.uint16)
 
 
 def encoded(suffix: str, image: np.ndarray) -> bytes:
@@ -36,28 +34,6 @@ def test_grey_becomes_three_channels(tmp_path: Path) -> None:
     assert (rgb == NOISE[..., :1]).all()
 
 
-def test_depth_is_metres_with_zero_for_unknown(tmp_path: Path) -> None:
-    path = tmp_path / "depth.png"
-    path.write_bytes(encoded(".png", np.array([[0, 5000, 65534, 65535]], np.uint16)))
-    depth_m = read_depth(path, 5000.0)
-    assert not isinstance(depth_m, BrokenImage)
-    assert depth_m.dtype == np.float32
-    np.testing.assert_allclose(depth_m, [[0.0, 1.0, 13.1068, 0.0]])
-
-
-@pytest.mark.parametrize(
-    ("image", "said"),
-    [(NOISE, r"3 channel\(s\) of uint8"), (NOISE[..., 0], r"1 channel\(s\) of uint8")],
-)
-def test_an_image_that_cannot_be_depth_is_an_error(
-    tmp_path: Path, image: np.ndarray, said: str
-) -> None:
-    path = tmp_path / "depth.png"
-    path.write_bytes(encoded(".png", image))
-    with pytest.raises(SlamError, match=said):
-        read_depth(path, 5000.0)
-
-
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("padding", [0, 512])
@@ -69,15 +45,6 @@ def test_a_cut_off_colour_image_is_broken(
     path.write_bytes(content[: int(share * len(content))] + bytes(padding))
     broken = read_color(path)
     assert broken == BrokenImage(path, "the file is cut off")
-
-
-@pytest.mark.parametrize("lost_bytes", [1, 12, 1000])
-def test_a_cut_off_depth_image_is_broken(tmp_path: Path, lost_bytes: int) -> None:
-    path = tmp_path / "depth.png"
-    path.write_bytes(encoded(".png", DEPTH)[:-lost_bytes])
-    broken = read_depth(path, 5000.0)
-    # Of the end mark itself, its checksum alone may be lost: all pixels are there then.
-    assert isinstance(broken, BrokenImage) or lost_bytes == 1
 
 
 @pytest.mark.parametrize("content", [b"hello, this is text", b"\x89PNG\r\n\x1a\n junk IEND"])
@@ -108,11 +75,32 @@ def test_orientation_marks_do_not_turn_the_image(tmp_path: Path) -> None:
     assert rgb.shape == (48, 64, 3)
 
 
-def test_depth_is_told_by_its_kind(tmp_path: Path) -> None:
-    path = tmp_path / "image.png"
-    assert not is_depth(path)
-    for image, answer in ((DEPTH, True), (NOISE, False), (NOISE[..., 0], False)):
-        path.write_bytes(encoded(".png", image))
-        assert is_depth(path) == answer
-    path.write_bytes(encoded(".png", np.dstack([DEPTH] * 3)))
-    assert not is_depth(path)
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_of_16_bits_those_that_are_used_are_seen(tmp_path: Path, suffix: str, bits: int) -> None:
+    paths = [tmp_path / f"{i}{suffix}" for i in range(4)]
+    for path, share in zip(paths, (0.1, 0.3, 1.0, 0.2), strict=True):
+        light = NOISE.astype(np.uint16) * (1 << (bits - 8)) * share
+        path.write_bytes(encoded(suffix, light.astype(np.uint16)))
+    assert color_bits(paths) == bits
+    rgb = read_color(paths[2], bits)
+    assert not isinstance(rgb, BrokenImage)
+    assert np.abs(rgb[..., ::-1].astype(int) - NOISE).max() <= 1
+    dark = read_color(paths[0], bits)
+    assert not isinstance(dark, BrokenImage)
+    assert dark.max() == 25
+
+
+def test_what_is_brighter_than_any_that_was_looked_at_is_white(tmp_path: Path) -> None:
+    path = tmp_path / "bright.png"
+    path.write_bytes(encoded(".png", np.full((8, 8), 5000, np.uint16)))
+    rgb = read_color(path, 12)
+    assert not isinstance(rgb, BrokenImage)
+    assert (rgb == 255).all()
+
+
+def test_bits_are_those_of_the_images_that_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "broken.png").write_bytes(b"no image")
+    assert color_bits([tmp_path / "broken.png", tmp_path / "none.png"]) == 8
+    (tmp_path / "eight.png").write_bytes(encoded(".png", NOISE))
+    assert color_bits([tmp_path / "broken.png", tmp_path / "eight.png"]) == 8

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.images import BrokenImage
-from slam.datasets.phones.exr import read_exr
+from slam.datasets.images.exr import read_exr
 from slam.types import SlamError
 
 SaveExr = Callable[..., None]
