@@ -68,7 +68,7 @@ def test_what_whoever_started_the_command_wants_to_be_ignored_is(monkeypatch):
         signal.signal(signal.SIGHUP, before)
 
 
-class Wordless(Exception):
+class WordlessError(Exception):
     def __str__(self):
         raise ValueError("no text")
 
@@ -79,7 +79,7 @@ class Wordless(Exception):
         (ValueError("no\n  good"), "ValueError: no good"),
         (MemoryError(), "MemoryError"),
         (LoopcloseError("choose\nanother"), "choose another"),
-        (Wordless(), "Wordless"),
+        (WordlessError(), "WordlessError"),
         (SystemExit(0), "SystemExit: 0"),
     ],
 )
