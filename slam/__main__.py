@@ -242,6 +242,9 @@ def _finish(arguments: Arguments) -> None:
             for timestamp_s, _ in journal.frames:
                 feed.until(timestamp_s)
                 slam.process_next()
+            if not slam.has_keyframes:
+                claimed.discard()
+                raise SlamError("the run was killed before it had tracked anything; start it again")
             _conclude(run, slam, None, None)
 
 
