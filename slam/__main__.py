@@ -7,9 +7,9 @@ import math
 import shlex
 import sys
 from argparse import ArgumentParser
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from threading import Event
@@ -29,17 +29,14 @@ from placerec.errors import (
 )
 from placerec.recognizer import load
 from slam.config import Config, load_config
-from slam.result import SlamResult
 from slam.types import Frame, SlamError
 
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
     from slam.datasets.pose_files import PoseFile
-    from slam.evaluation.drift import DriftReport
-    from slam.output.claimed_folder import ClaimedFolder
-    from slam.output.journal import Header, JournalWriter
+    from slam.output.ending import Ended
+    from slam.output.journal import JournalWriter
     from slam.system import Slam
-    from slam.types import Trajectory
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
@@ -161,22 +158,11 @@ def main(arguments: list[str] | None = None) -> int:
     return 2
 
 
-@dataclass(frozen=True)
-class _Run:
-    """What the outputs of a run are made of, its result apart."""
-
-    claimed: "ClaimedFolder"
-    header: "Header"
-    settings: Config
-    truth: "Trajectory | None"
-    poses: "PoseFile | None"
-    doubts: Callable[[], tuple[str, ...]]  # of the recordings; reading them may add some
-
-
 def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
+    from slam.output.ending import Run, conclude, reason_of
     from slam.output.journal import Header, JournalWriter
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam
@@ -200,18 +186,18 @@ def _run(arguments: Arguments) -> None:
             sessions.warnings,
         )
         truth = sessions.ground_truth
-        run = _Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
+        run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
         if begin_outputs(claimed, settings, header.command, run.truth):
             _log.warning("an earlier run into this folder was killed, and this one replaces it")
         journal = JournalWriter(claimed.unfinished, header, slam)
-        with _kept(run, slam), deferred_interrupts() as interrupted:
+        with _kept(claimed.path), deferred_interrupts() as interrupted:
             with journal:
                 stopped = _process(slam, sessions, _Feed(slam, poses), journal, interrupted)
             if not slam.has_keyframes:
                 claimed.discard()
                 if stopped:
-                    raise SlamError(_reason(stopped)) from stopped
-            _conclude(run, slam, stopped, journal.failure)
+                    raise SlamError(reason_of(stopped)) from stopped
+            _tell(conclude(run, slam, stopped, journal.failure))
 
 
 def _finish(arguments: Arguments) -> None:
@@ -219,6 +205,7 @@ def _finish(arguments: Arguments) -> None:
     from slam.datasets.pose_files import read_odometry
     from slam.evaluation.trajectory import read_tum
     from slam.output.claimed_folder import ClaimedFolder
+    from slam.output.ending import Run, conclude
     from slam.output.finishing import ReplayedSlam
     from slam.output.journal import read_journal
 
@@ -235,28 +222,24 @@ def _finish(arguments: Arguments) -> None:
         if header.odometry is not None:
             stamps_s = np.array([timestamp_s for timestamp_s, _ in journal.frames])
             poses = read_odometry(Path(header.odometry), stamps_s, settings.input)
-        run = _Run(claimed, header, settings, truth, poses, lambda: header.warnings)
+        run = Run(claimed, header, settings, truth, poses, lambda: header.warnings)
         slam = ReplayedSlam(journal, settings)
         feed = _Feed(slam, poses)
-        with _kept(run, slam), deferred_interrupts():
+        with _kept(claimed.path), deferred_interrupts():
             for timestamp_s, _ in journal.frames:
                 feed.until(timestamp_s)
                 slam.process_next()
             if not slam.has_keyframes:
                 claimed.discard()
                 raise SlamError("the run was killed before it had tracked anything; start it again")
-            _conclude(run, slam, None, None)
-
-
-def _reason(stopped: BaseException) -> str:
-    return "interrupted" if isinstance(stopped, KeyboardInterrupt) else cause_of(stopped)
+            _tell(conclude(run, slam))
 
 
 @contextmanager
-def _kept(run: _Run, slam: "Slam") -> Iterator[None]:
+def _kept(folder: Path) -> Iterator[None]:
     """Say how what was done can still be had where an end is not reached."""
-    folder = shlex.quote(str(run.claimed.path))
-    hint = f"run_slam {folder} --finish makes the outputs of what was done until then"
+    finish = f"run_slam {shlex.quote(str(folder))} --finish"
+    hint = f"{finish} makes the outputs of what was done until then"
     try:
         yield
     except LoopcloseError:
@@ -268,41 +251,13 @@ def _kept(run: _Run, slam: "Slam") -> Iterator[None]:
         raise SlamError(f"{cause_of(error)}; {hint}") from error
 
 
-def _conclude(
-    run: _Run, slam: "Slam", stopped: BaseException | None, unwritten: Exception | None
-) -> None:
-    """Write what was done, whatever stopped it, and tell what is missing."""
-    from slam.output.run_folder import write_outputs
-    from slam.output.summary import summary_table
-
-    reason = None if stopped is None else _reason(stopped)
-    result = slam.finish()
-    drift, doubts = _judge(result, run)
-    if unwritten:
-        doubts = (f"the work could not be kept on disk on the way: {cause_of(unwritten)}", *doubts)
-    if reason:
-        doubts = (f"the run stopped early: {reason}", *doubts)
-    warnings = (*doubts, *result.missing, *run.doubts(), *result.warnings)
-    result = replace(result, warnings=warnings)
-    folder, header = run.claimed.path, run.header
-    problems = [] if reason is None else [f"{reason}; what was done until then is in {folder}"]
+def _tell(ended: "Ended") -> None:
+    """Print a run in a few lines; raise what is missing."""
+    problems = list(ended.problems)
     try:
-        write_outputs(
-            run.claimed,
-            result,
-            drift,
-            run.truth,
-            run.settings,
-            header.title,
-            header.command,
-            run.poses,
-        )
-    except LoopcloseError as error:
+        say(ended.table)
+    except LoopcloseError as error:  # a full disk, at the end of a pipe
         problems.append(str(error))
-    say(summary_table(result, drift, folder))
-    if result.given and not result.given.fits:
-        problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
-    problems += result.missing
     if problems:
         raise SlamError("; ".join(problems))
 
@@ -396,19 +351,6 @@ def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:
                 return
             yield frame
             progress(done)
-
-
-def _judge(result: SlamResult, run: _Run) -> tuple["DriftReport | None", tuple[str, ...]]:
-    """Compare with ground truth where there is enough of it; else say why not."""
-    from slam.evaluation.drift import compare_drift
-
-    if run.truth is None:
-        return None, ("there is no ground truth, so no ATE can be given",)
-    try:
-        drift = compare_drift(result, run.truth, run.settings.evaluation)
-    except Exception as error:
-        return None, (f"no ATE can be given: {cause_of(error)}",)
-    return drift, ()
 
 
 if __name__ == "__main__":

@@ -24,9 +24,9 @@ from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
 from slam.__main__ import main, parse
 from slam.config import Config, load_config, to_toml
 from slam.datasets import read_camera, write_camera
-from slam.evaluation import drift
 from slam.evaluation.trajectory import read_tum
 from slam.loops.back_end import BackEnd
+from slam.output import ending
 from slam.output.claimed_folder import ClaimedFolder
 from slam.system import Slam
 from slam.tracking.odometry import RgbdOdometry
@@ -658,9 +658,10 @@ def test_a_stage_that_fails_in_the_end_does_not_cost_the_others(
 
 
 def test_a_judgement_that_fails_is_a_run_without_one(run_slam, short_recording, monkeypatch):
-    monkeypatch.setattr(drift, "compare_drift", lambda *_: no_memory())
+    monkeypatch.setattr(ending, "compare_drift", lambda *_: no_memory())
     ran = run_slam(short_recording(6), *QUICK)
-    assert any("no ATE can be given: MemoryError" in warning for warning in ran.warnings)
+    assert "the comparison with ground truth is missing: MemoryError" in ran.complaint
+    assert names(ran.folder) == [name for name in OUTPUTS if name != "map.ply"]
 
 
 def test_an_output_folder_that_is_deleted_is_made_again(run_slam, short_recording, monkeypatch):
@@ -752,6 +753,18 @@ def test_what_a_killed_run_left_is_finished(started, run_slam, tmp_path):
     assert json.loads((out / "summary.json").read_text())["ate_corrected_m"] < 0.05
     again = run_slam("out", "--finish", out="unused")
     assert again.code == 0 and "is complete" in again.err
+
+
+def test_what_a_killed_run_left_is_finished_with_its_poses_from_elsewhere(
+    started, run_slam, recording, tmp_path
+):
+    process = started("--odometry", str(recording / "groundtruth.txt"))
+    process.kill()
+    process.communicate()
+    assert run_slam("out", "--finish", out="unused").code == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert 5 < summary["given_poses"] <= 60 and summary["given_verdict"]
+    assert "corrected_odometry.txt" in names(tmp_path / "out")
 
 
 @pytest.mark.parametrize("folder", ["nowhere", "."])
