@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recognizer whose every answer is checked, and how its embeddings are compared."""
 
-from typing import NoReturn, Protocol, cast
+import queue
+import threading
+import weakref
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from typing import Any, NoReturn, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.errors import RecognizerError
-from placerec.recognizer import PlaceRecognizer, cause_of, with_members
+from placerec.errors import RecognizerError, cause_of
+from placerec.recognizer import PlaceRecognizer, with_members
 
 Embeddings = NDArray[np.float32]
 Similarities = NDArray[np.float32]
@@ -74,6 +79,51 @@ def flaw_in(answer: object, shape: tuple[int, int]) -> str | None:
     return None
 
 
+class _Helper:
+    """A thread that is asked, and left to itself where it does not answer in time.
+
+    Nobody waits for it when the process ends.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._questions: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None]
+        self._questions = queue.SimpleQueue()
+        self._is_stuck = False
+        threading.Thread(target=_answer, args=(self._questions,), daemon=True).start()
+        weakref.finalize(self, self._questions.put, None)
+
+    def ask(self, question: Callable[[], object]) -> object:
+        """Return the answer, or raise what it raised.
+
+        Raises:
+            RecognizerError: it took, or once took, longer than the limit.
+        """
+        answer: Future[object] = Future()
+        if not self._is_stuck:
+            self._questions.put((answer, question))
+            self._is_stuck = not wait([answer], self._limit_s).done
+        if self._is_stuck:
+            raise RecognizerError(f"no answer within {self._limit_s:g} s")
+        return answer.result()
+
+
+def _answer(questions: "queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None]") -> None:
+    while asked := questions.get():
+        future, question = asked
+        try:
+            future.set_result(question())
+        except (Exception, SystemExit) as error:
+            future.set_exception(error)
+        except BaseException as error:  # nobody else's: signals go to the main thread
+            future.set_exception(RuntimeError(cause_of(error)))
+        del asked, future, question
+
+
+def _ask_here(question: Callable[[], object]) -> object:
+    return question()
+
+
 class CheckedRecognizer:
     """A recognizer whose every answer is checked, so that its callers need not doubt it.
 
@@ -84,8 +134,12 @@ class CheckedRecognizer:
         looks_back: how many queries before the one in question matter to its similarities.
     """
 
-    def __init__(self, recognizer: PlaceRecognizer, name: str | None = None) -> None:
+    def __init__(
+        self, recognizer: PlaceRecognizer, name: str | None = None, limit_s: float | None = None
+    ) -> None:
         """Wrap a recognizer; the name is what errors call it, by default its class's.
+
+        Where there is a limit it is asked in a thread of its own, and fails once it takes longer.
 
         Raises:
             RecognizerError: a member is missing or is not what it must be.
@@ -112,6 +166,7 @@ class CheckedRecognizer:
                 f"{self._title} has looks_back = {looks_back!r}; it must be 0 or more"
             )
         self.looks_back = looks_back
+        self._ask = _ask_here if limit_s is None else _Helper(limit_s).ask
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) uint8 RGB image.
@@ -123,8 +178,8 @@ class CheckedRecognizer:
                 as before, or not the unit vector that it must be.
         """
         try:
-            answer = self._recognizer.embed(image)
-        except Exception as error:
+            answer = self._ask(lambda: self._recognizer.embed(image))
+        except (Exception, SystemExit) as error:
             raise RecognizerError(f"{self._title} failed: {cause_of(error)}") from error
         values = self._array(answer)
         return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
@@ -136,8 +191,9 @@ class CheckedRecognizer:
             RecognizerError: the recognizer failed, or its answer is no such similarities.
         """
         try:
-            answer = self._comparer.compare(queries, references)
-        except Exception as error:
+            ask = _ask_here if self._comparer is COSINES else self._ask
+            answer = ask(lambda: self._comparer.compare(queries, references))
+        except (Exception, SystemExit) as error:
             raise RecognizerError(f"{self._title} failed to compare: {cause_of(error)}") from error
         if flaw := flaw_in(answer, (len(queries), len(references))):
             self._refuse(flaw)

@@ -63,10 +63,12 @@ def cache_folder() -> Path:
 def write_atomically(path: Path, data: bytes | str) -> None:
     """Write a whole file (text as UTF-8), leaving an earlier one untouched until it is complete.
 
+    Names of files that are not UTF-8 are written with escapes for what is not.
+
     Raises:
         LoopcloseError: the folder is missing or not writable, the disk is full, or the like.
     """
-    content = data.encode("utf-8") if isinstance(data, str) else data
+    content = data.encode("utf-8", "backslashreplace") if isinstance(data, str) else data
     # In the same folder, because a file can only be replaced atomically within one disk.
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

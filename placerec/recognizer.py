@@ -11,7 +11,7 @@ from typing import Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.errors import RecognizerError
+from placerec.errors import RecognizerError, cause_of
 
 ENTRY_POINT_GROUP = "placerec.recognizers"
 WEIGHTS_SUFFIX = ".safetensors"
@@ -71,7 +71,7 @@ def load(name: str) -> PlaceRecognizer:
         raise RecognizerError(f"{title} is a {type(make).__name__}; name a class or a function")
     try:
         recognizer = cast(Callable[[], object], make)()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise RecognizerError(f"{title} cannot be constructed: {cause_of(error)}") from error
     return with_members(recognizer, title)
 
@@ -109,16 +109,8 @@ def imported(entry: EntryPoint, title: str) -> object:
     """
     try:
         return cast(object, entry.load())
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise RecognizerError(f"{title} cannot be imported: {cause_of(error)}") from error
-
-
-def cause_of(error: Exception) -> str:
-    """Return an exception as one line."""
-    text = " ".join(str(error).split())
-    if isinstance(error, RecognizerError):
-        return text
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def with_members(recognizer: object, title: str) -> PlaceRecognizer:
@@ -127,8 +119,13 @@ def with_members(recognizer: object, title: str) -> PlaceRecognizer:
     Raises:
         RecognizerError: one is missing.
     """
-    if not callable(getattr(recognizer, "embed", None)):
+    try:
+        has_embed = callable(getattr(recognizer, "embed", None))
+        has_min_similarity = hasattr(recognizer, "min_similarity")
+    except Exception as error:  # a property of somebody else's
+        raise RecognizerError(f"{title} does not tell its members: {cause_of(error)}") from error
+    if not has_embed:
         raise RecognizerError(f"{title} has no method embed(image)")
-    if not hasattr(recognizer, "min_similarity"):
+    if not has_min_similarity:
         raise RecognizerError(f"{title} has no attribute min_similarity")
     return cast(PlaceRecognizer, recognizer)

@@ -8,26 +8,34 @@ import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 
 from placerec.commands import usage
 from placerec.commands.console import note, progress_bar, reporting, say
-from placerec.errors import LoopcloseError, deferred_interrupts
+from placerec.errors import (
+    LoopcloseError,
+    cause_of,
+    deferred_interrupts,
+    replace_closed_streams,
+    terminations_interrupt,
+)
 from placerec.recognizer import load
 from slam.config import Config, load_config
-from slam.result import SlamResult
 from slam.types import Frame, SlamError
 
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
     from slam.datasets.pose_files import PoseFile
-    from slam.evaluation.drift import DriftReport
+    from slam.output.ending import Ended
+    from slam.output.journal import JournalWriter
     from slam.system import Slam
 
 DEFAULT_RECOGNIZER = "learned"
@@ -75,9 +83,13 @@ class Arguments:
     """Folder for the outputs, runs/SEQUENCE unless told; the names of several are joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
     """Installed name, module:Class or FILE.safetensors."""
+    finish: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """SEQUENCE is the folder of a killed run: finish it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
-    settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+    settings: Annotated[Config, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = field(
+        default_factory=Config
+    )
 
     @property
     def sequences(self) -> tuple[str, ...]:
@@ -110,7 +122,7 @@ def parse(arguments: list[str]) -> Arguments:
 
     def read(left: list[str]) -> Arguments:
         return tyro.cli(
-            tyro.conf.configure(tyro.conf.FlagConversionOff)(Arguments),
+            Arguments,
             prog="run_slam",
             description=_DESCRIPTION + _DETAILS if usage.HELP_ALL in arguments else _DESCRIPTION,
             args=left,
@@ -125,62 +137,129 @@ def main(arguments: list[str] | None = None) -> int:
     """Run `run_slam` and return its exit code: 0 good, 2 something the user can mend."""
     # A recognizer that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
+    replace_closed_streams()
     try:
-        with reporting(sys.argv[1:] if arguments is None else arguments) as asked:
-            _run(parse(asked))
+        with (
+            reporting(sys.argv[1:] if arguments is None else arguments) as asked,
+            terminations_interrupt(),
+        ):
+            told = parse(asked)
+            (_finish if told.finish else _run)(told)
     except LoopcloseError as error:
         problem = str(error)
     except KeyboardInterrupt:
-        problem = "interrupted before the outputs were complete"
+        problem = "interrupted before anything was tracked"
+    except MemoryError as error:
+        problem = f"there is not enough memory: {cause_of(error)}"
     else:
         return 0
-    print(f"run_slam: {problem}", file=sys.stderr)
+    with suppress(OSError):  # nobody looks any more
+        print(f"run_slam: {problem}", file=sys.stderr)
     return 2
 
 
 def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
-    from slam.output.run_folder import make_run_folder, write_run
-    from slam.output.summary import summary_table
+    from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
+    from slam.output.ending import Run, conclude, reason_of
+    from slam.output.journal import Header, JournalWriter
+    from slam.output.run_folder import begin_outputs
     from slam.system import Slam
 
-    recognizer = load(arguments.recognizer)
     folder = arguments.out or Path("runs") / arguments.title
-    sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
-    poses, settings = _read_odometry(arguments, sessions)
-    make_run_folder(folder)
-    # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
-    gc.collect()
-    gc.freeze()
-    slam = Slam(sessions.camera, recognizer, settings)
-    stopped = _process(slam, sessions, _Feed(slam, poses))
-    if stopped and not slam.has_keyframes:
-        raise stopped
-    # What was done is worth the seconds that writing it takes, but to one who asks again.
-    is_interrupted = isinstance(stopped, KeyboardInterrupt)
-    reason = "interrupted" if is_interrupted else str(stopped)
-    with nullcontext() if is_interrupted else deferred_interrupts():
-        result = slam.finish()
-        drift, doubts = _judge(result, sessions, arguments)
-        if stopped:
-            doubts = (f"the run stopped early: {reason}", *doubts)
-        result = replace(result, warnings=(*doubts, *sessions.warnings, *result.warnings))
-        write_run(
-            folder,
-            result,
-            drift,
-            sessions.ground_truth,
-            settings,
+    with ClaimedFolder(folder) as claimed:
+        recognizer = load(arguments.recognizer)
+        sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
+        poses, settings = _read_odometry(arguments, sessions)
+        claimed.refuse_foreign(OUTPUTS)
+        # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
+        gc.collect()
+        gc.freeze()
+        slam = Slam(sessions.camera, recognizer, settings)
+        header = Header(
             arguments.title,
             shlex.join(arguments.command),
-            poses,
+            sessions.camera,
+            slam.min_similarity,
+            None if arguments.odometry is None else str(arguments.odometry.resolve()),
+            sessions.warnings,
         )
-    say(summary_table(result, drift, folder))
-    if result.given and not result.given.fits:
-        raise SlamError(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
-    if stopped:
-        raise SlamError(f"{reason}; what was done until then is in {folder}")
+        truth = sessions.ground_truth
+        run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
+        if begin_outputs(claimed, settings, header.command, run.truth):
+            _log.warning("an earlier run into this folder was killed, and this one replaces it")
+        journal = JournalWriter(claimed.unfinished, header, slam)
+        with _kept(claimed.path), deferred_interrupts() as interrupted:
+            with journal:
+                stopped = _process(slam, sessions, _Feed(slam, poses), journal, interrupted)
+            if not slam.has_keyframes:
+                claimed.discard()
+                if stopped:
+                    raise SlamError(reason_of(stopped)) from stopped
+            _tell(conclude(run, slam, stopped, journal.failure))
+
+
+def _finish(arguments: Arguments) -> None:
+    """Make the outputs of what a run that was killed had done."""
+    from slam.datasets.pose_files import read_odometry
+    from slam.evaluation.trajectory import read_tum
+    from slam.output.claimed_folder import ClaimedFolder
+    from slam.output.ending import Run, conclude
+    from slam.output.finishing import ReplayedSlam
+    from slam.output.journal import read_journal
+
+    with ClaimedFolder(Path(arguments.sequence)) as claimed:
+        if claimed.is_complete:
+            note(f"the run in this folder is complete: {claimed.path}")
+            return
+        journal = read_journal(claimed.unfinished)
+        header = journal.header
+        settings = load_config(claimed.unfinished / "settings.toml")
+        truth_file = claimed.unfinished / "groundtruth.txt"
+        truth = read_tum(truth_file) if truth_file.exists() else None
+        poses = None
+        if header.odometry is not None:
+            stamps_s = np.array([timestamp_s for timestamp_s, _ in journal.frames])
+            poses = read_odometry(Path(header.odometry), stamps_s, settings.input)
+        run = Run(claimed, header, settings, truth, poses, lambda: header.warnings)
+        slam = ReplayedSlam(journal, settings)
+        feed = _Feed(slam, poses)
+        with _kept(claimed.path), deferred_interrupts():
+            for timestamp_s, _ in journal.frames:
+                feed.until(timestamp_s)
+                slam.process_next()
+            if not slam.has_keyframes:
+                claimed.discard()
+                raise SlamError("the run was killed before it had tracked anything; start it again")
+            _tell(conclude(run, slam))
+
+
+@contextmanager
+def _kept(folder: Path) -> Iterator[None]:
+    """Say how what was done can still be had where an end is not reached."""
+    finish = f"run_slam {shlex.quote(str(folder))} --finish"
+    hint = f"{finish} makes the outputs of what was done until then"
+    try:
+        yield
+    except LoopcloseError:
+        raise
+    except KeyboardInterrupt:
+        raise SlamError(f"interrupted before the outputs were complete; {hint}") from None
+    except Exception as error:
+        _log.debug("the outputs could not be made", exc_info=True)
+        raise SlamError(f"{cause_of(error)}; {hint}") from error
+
+
+def _tell(ended: "Ended") -> None:
+    """Print a run in a few lines; raise what is missing."""
+    problems = list(ended.problems)
+    try:
+        say(ended.table)
+    except LoopcloseError as error:  # a full disk, at the end of a pipe
+        problems.append(str(error))
+    if problems:
+        raise SlamError("; ".join(problems))
 
 
 def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
@@ -217,21 +296,28 @@ def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFil
     return poses, settings
 
 
-def _process(slam: "Slam", sessions: "Sessions", feed: "_Feed") -> BaseException | None:
+def _process(
+    slam: "Slam",
+    sessions: "Sessions",
+    feed: "_Feed",
+    journal: "JournalWriter",
+    interrupted: Event,
+) -> BaseException | None:
     """Feed all frames; return what stopped it early, so that the frames until then are kept."""
-    with deferred_interrupts() as interrupted:  # half a keyframe could not be finished
-        try:
-            for recording in sessions.recordings:
-                slam.start_session()
-                for frame in _timed(slam, recording):
-                    feed.until(frame.timestamp_s)
-                    slam.process(frame)
-                    if interrupted.is_set():
-                        return KeyboardInterrupt()
-            feed.until(math.inf)
-            slam.settle()  # if the recognizer failed on one of the last keyframes, say so
-        except LoopcloseError as stopped:
-            return stopped
+    try:
+        for recording in sessions.recordings:
+            slam.start_session()
+            journal.start_session()
+            for frame in _timed(slam, recording):
+                feed.until(frame.timestamp_s)
+                journal.add(frame.timestamp_s, slam.process(frame))
+                if interrupted.is_set():  # half a keyframe could not be finished
+                    return KeyboardInterrupt()
+        feed.until(math.inf)
+        slam.settle()  # if the recognizer failed on one of the last keyframes, say so
+    except Exception as stopped:
+        _log.debug("the run stopped early", exc_info=True)
+        return stopped
     return None
 
 
@@ -265,22 +351,6 @@ def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:
                 return
             yield frame
             progress(done)
-
-
-def _judge(
-    result: SlamResult, sessions: "Sessions", arguments: Arguments
-) -> tuple["DriftReport | None", tuple[str, ...]]:
-    """Compare with ground truth where there is enough of it; else say why not."""
-    from slam.evaluation.drift import compare_drift
-
-    truth = sessions.ground_truth
-    if truth is None:
-        return None, ("there is no ground truth, so no ATE can be given",)
-    try:
-        drift = compare_drift(result, truth, arguments.settings.evaluation)
-    except SlamError as error:
-        return None, (f"no ATE can be given: {error}",)
-    return drift, drift.doubts
 
 
 if __name__ == "__main__":

@@ -152,6 +152,8 @@ class LoopConfig(_Section):
     """Most similar keyframes verified by geometry, per new keyframe."""
     min_similarity: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
     """Cosine from which a candidate is verified; default: the recognizer's own threshold."""
+    recognizer_limit_s: PositiveFloat = 60.0
+    """A recognizer that takes longer than this for one answer is given up."""
 
 
 class GraphConfig(_Section):

@@ -98,6 +98,8 @@ class SlamResult:
         unsmoothed: `trajectory` before it was smoothed, None where it was not. The other
             trajectories and `T_world_kf` never are.
         given: what became of an odometry from elsewhere, None where there is none.
+        missing: which parts of the result could not be computed, and why; one sentence each. What
+            stands for them says nothing: NaN similarities, poses that were not adjusted.
     """
 
     camera: Camera
@@ -120,11 +122,17 @@ class SlamResult:
     elapsed_s: float = 0.0
     unsmoothed: Trajectory | None = None
     given: GivenOdometry | None = None
+    missing: tuple[str, ...] = ()
 
     @property
     def corrected(self) -> Trajectory:
         """The corrected trajectory, never smoothed."""
         return self.trajectory if self.unsmoothed is None else self.unsmoothed
+
+    @property
+    def has_images(self) -> bool:
+        """Whether any keyframe has its image; those made anew from a journal have none."""
+        return any(keyframe.preview.depth_m.any() for keyframe in self.keyframes)
 
     @property
     def moved_by_loops_m(self) -> FloatArray:

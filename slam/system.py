@@ -2,12 +2,13 @@
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
 from bisect import bisect_right
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from placerec.errors import RecognizerError
+from placerec.errors import Salvage, cause_of
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.evaluation.steps import impossible_steps
@@ -17,15 +18,24 @@ from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
 from slam.loops.atlas import Correction, odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
-from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.map_adjustment import adjust_with_loops, size_warning
-from slam.result import SlamResult
+from slam.loops.final_adjustment import adjusted
+from slam.mapping.map_adjustment import size_warning
+from slam.result import Calibration, SlamResult
 from slam.stage_clock import StageClock
 from slam.tracking.frame_log import FrameLog, LoggedFrame, check_frame
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
-from slam.types import Camera, FloatArray, Frame, LoopAttempt, Rejection, SlamError, Trajectory
+from slam.types import (
+    Camera,
+    FloatArray,
+    Frame,
+    Keyframe,
+    LoopAttempt,
+    Rejection,
+    SlamError,
+    Trajectory,
+)
 
 
 class Slam:
@@ -53,6 +63,16 @@ class Slam:
         # and the map, which lies where it had the first one.
         self._T_odom_given: FloatArray | None = None
         self._T_map_world: FloatArray | None = None
+
+    @property
+    def attempts(self) -> Sequence[LoopAttempt]:
+        """The loop candidates so far, in the order they were looked at, before they are weighed."""
+        return self._back_end.attempts
+
+    @property
+    def min_similarity(self) -> float:
+        """The similarity from which loop candidates are verified."""
+        return self._back_end.loop_closer.min_similarity
 
     @property
     def has_keyframes(self) -> bool:
@@ -136,7 +156,7 @@ class Slam:
             self._session_starts_s.append(frame.timestamp_s)
             self._is_new_session = False
         with self.clock.stage("track"):
-            tracked = self._odometry.track(frame, T_given_cam, is_keyframe)
+            tracked = self._track(frame, T_given_cam, is_keyframe)
         if isinstance(tracked, Rejection):
             self._frames.lose(frame.timestamp_s)
             return tracked
@@ -150,6 +170,11 @@ class Slam:
             if self._T_map_world is None and T_world_odom is not None:
                 self._T_map_world = se3.inverse(T_world_odom @ self._T_odom_given)
         return tracked
+
+    def _track(
+        self, frame: Frame, T_given_cam: FloatArray | None, is_keyframe: bool
+    ) -> TrackedFrame | Rejection:
+        return self._odometry.track(frame, T_given_cam, is_keyframe)
 
     @property
     def correction(self) -> Correction:
@@ -211,38 +236,49 @@ class Slam:
     def finish(self) -> SlamResult:
         """Solve the graph with all loops, adjust the map to it, and return what the run found out.
 
+        A part that fails is left out and told in the result's `missing`; the others are there.
+
         Raises:
             SlamError: no frame could be tracked.
             RecognizerError: the recognizer failed on the first keyframe.
         """
+        salvage = Salvage()
         left_out: tuple[str, ...] = ()
         try:
             self._back_end.settle()
-        except RecognizerError as error:
+        except Exception as error:
             if not self._back_end.keyframes:
                 raise
             first = len(self._back_end.keyframes)
-            left_out = (f"all from keyframe {first} on is left out: {error}",)
+            left_out = (f"all from keyframe {first} on is left out: {cause_of(error)}",)
         keyframes = tuple(self._back_end.keyframes)
         if not keyframes:
             raise SlamError(
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        self._odometry.settle()
-        T_odom_kf = {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
+        salvage.attempt("the last keyframe's adjustment", self._odometry.settle, None)
+        T_odom_kf = self._tracked(keyframes)
         stamps_s = np.array([each.timestamp_s for each in keyframes])
-        given = self._read_external(T_odom_kf, stamps_s) if self._external else None
-        loops = self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
+        given = None
+        if self._external:
+            given = salvage.attempt(
+                "what the given poses say", lambda: self._read_external(T_odom_kf, stamps_s), {}
+            )
+        loops = salvage.attempt(
+            "the solved pose graph",
+            lambda: self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given),
+            None,
+        ) or self._back_end.unsolved(T_odom_kf)
         keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
             replace(each, T_odom_cam=T_odom_kf[each.id]) for each in keyframes
         )
         T_odom_segment = odometry_frames(keyframes, loops.links)
-        T_world_kf, T_world_kf_without = loops.T_world_kf, loops.T_world_kf_without
-        unadjusted = size_warning(len(keyframes))
-        if not unadjusted:
-            with self.clock.stage("adjust"):
-                T_world_kf, T_world_kf_without = _adjusted(self._odometry.map, loops)
+        T_world_kf, T_world_kf_without, unadjusted = salvage.attempt(
+            "the map's adjustment",
+            lambda: self._adjusted(loops),
+            (loops.T_world_kf, loops.T_world_kf_without, ()),
+        )
         frames = self._frames
         if loops.trust and loops.trust.verdict is Verdict.BORNE_OUT:
             frames = frames.along(self._external.camera_poses, stamps_s, loops.trust.doubted)
@@ -253,9 +289,27 @@ class Slam:
         result_of_given = None
         if self._external:
             odometry = self._external.before(odometry)
-            result_of_given = self._external.corrected(trajectory, loops.trust, loops.steps)
-        loop_closer = self._back_end.loop_closer
-        calibration = loop_closer.calibration()
+            result_of_given = salvage.attempt(
+                "the given odometry, corrected,",
+                lambda: self._external.corrected(trajectory, loops.trust, loops.steps),
+                None,
+            )
+        similarities, calibration = salvage.attempt(
+            "how alike the keyframes are",
+            self._similarities,
+            (np.full((len(keyframes), len(keyframes)), np.nan, np.float32), None),
+        )
+        live = salvage.attempt(
+            "the live trajectory",
+            lambda: self._live(T_world_kf),
+            Trajectory(np.zeros(0), np.zeros((0, 4, 4))),
+        )
+        smooth = salvage.attempt("smoothing", lambda: self._smoothed(trajectory), trajectory)
+        leaps = salvage.attempt(
+            "the look for leaps",
+            lambda: impossible_steps(trajectory, self._session_starts_s),
+            (),
+        )
         return SlamResult(
             camera=self._camera,
             keyframes=tuple(
@@ -264,13 +318,13 @@ class Slam:
             ),
             T_world_kf=T_world_kf,
             odometry=odometry,
-            live=self._live(T_world_kf),
+            live=live,
             without_loops=frames.trajectory(T_world_kf_without),
-            trajectory=self._smoothed(trajectory),
+            trajectory=smooth,
             links=loops.links,
             attempts=loops.attempts,
-            similarities=self._back_end.similarities(),
-            min_similarity=loop_closer.min_similarity,
+            similarities=similarities,
+            min_similarity=self.min_similarity,
             untracked_s=self._frames.untracked_s(T_world_kf),
             stage_seconds=dict(self.clock.seconds),
             warnings=(
@@ -279,7 +333,7 @@ class Slam:
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
-                *impossible_steps(trajectory, self._session_starts_s),
+                *leaps,
                 *(calibration.warnings if calibration else ()),
             ),
             calibration=calibration,
@@ -288,7 +342,25 @@ class Slam:
             elapsed_s=self.clock.elapsed_s,
             unsmoothed=trajectory if self._is_smoothed else None,
             given=result_of_given,
+            missing=salvage.sentences,
         )
+
+    def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
+        """Return where tracking has keyframes in the end, (4, 4) by id."""
+        return {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
+
+    def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+        """Return the (K, 4, 4) poses by the adjusted map, with loops and without, and warnings.
+
+        Where the map is too large, which is told, they are those of the pose graph.
+        """
+        if warnings := size_warning(len(loops.T_world_kf)):
+            return loops.T_world_kf, loops.T_world_kf_without, warnings
+        with self.clock.stage("adjust"):
+            return *adjusted(self._odometry.map, loops), ()
+
+    def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
+        return self._back_end.similarities(), self._back_end.loop_closer.calibration()
 
     def _read_external(
         self, T_odom_kf: dict[int, FloatArray], stamps_s: FloatArray
@@ -324,24 +396,3 @@ class Slam:
         if not self._is_smoothed:
             return trajectory
         return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
-
-
-def _adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> tuple[FloatArray, FloatArray]:
-    """Return the (K, 4, 4) poses to which the map brings what it begins with, NaN as there.
-
-    That is the loops' solution, and the odometry's, which is adjusted in the same way but for
-    loops; the two do not wait for each other.
-    """
-    pairs = [(each.match_id, each.query_id) for each in loops.attempts if each.rejection is None]
-    placed = np.flatnonzero(np.isfinite(loops.T_world_kf[:, 0, 0])).tolist()
-
-    def adjusted(T_start_kf: FloatArray, pairs: list[tuple[int, int]]) -> FloatArray:
-        T_world_kf = T_start_kf.copy()
-        final = adjust_with_loops(the_map, placed, T_start_kf[placed], pairs, loops.steps)
-        T_world_kf[placed] = [final.keyframes[k].T_map_cam for k in placed]
-        return T_world_kf
-
-    with ThreadPoolExecutor(1, thread_name_prefix="without loops") as beside:
-        without = beside.submit(adjusted, loops.T_world_kf_without, [])
-        T_world_kf = adjusted(loops.T_world_kf, pairs) if pairs else without.result()
-        return T_world_kf, without.result()

@@ -16,9 +16,9 @@ from placerec.datasets import PlaceDataset
 from placerec.datasets.images import images_in
 from placerec.datasets.names import find_data
 from placerec.datasets.place_dataset import keep_readable
-from placerec.errors import RecognizerError
+from placerec.errors import RecognizerError, cause_of
 from placerec.files import Progress, is_folder
-from placerec.recognizer import WEIGHTS_SUFFIX, cause_of, find, imported
+from placerec.recognizer import WEIGHTS_SUFFIX, find, imported
 from placerec.recognizers.fitted_file import Fitted, write_fitted
 
 Fit = Callable[[Sequence[NDArray[np.uint8]], int], Fitted]

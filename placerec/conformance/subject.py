@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from placerec.checked_recognizer import COSINES, Comparer
 from placerec.conformance.made_images import Image, places
-from placerec.errors import RecognizerError
-from placerec.recognizer import PlaceRecognizer, cause_of, load
+from placerec.errors import RecognizerError, cause_of
+from placerec.recognizer import PlaceRecognizer, load
 
 _ROUNDS = 4
 _STATUS = Path("/proc/self/status")

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from placerec.certificate import own_fingerprint
 from placerec.checked_recognizer import COSINES, CheckedRecognizer, Comparer, Embeddings
 from placerec.datasets import PlaceDataset
+from placerec.errors import cause_of
 from placerec.evaluation.bootstrap import Intervals, bootstrap
 from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset
 from placerec.evaluation.precision_recall import Evaluation, evaluate
 from placerec.files import Progress
-from placerec.recognizer import PlaceRecognizer, cause_of
+from placerec.recognizer import PlaceRecognizer
 
 _BATCH = 10_000
 _MAX_BATCH_BYTES = 256 * 2**20

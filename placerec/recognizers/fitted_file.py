@@ -20,13 +20,12 @@ from placerec.certificate import (
     certificate_path,
     write_certificate,
 )
-from placerec.errors import RecognizerError
+from placerec.errors import RecognizerError, cause_of
 from placerec.files import MOST_WEIGHTS_BYTES, check_file, is_file, write_atomically
 from placerec.recognizer import (
     ENTRY_POINT_GROUP,
     WEIGHTS_SUFFIX,
     PlaceRecognizer,
-    cause_of,
     find,
     imported,
 )

@@ -50,13 +50,18 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     Raises:
         LoopcloseError: the file cannot be written.
     """
+    write_atomically(path, "\n".join(tum_lines(trajectory)) + "\n")
+
+
+def tum_lines(trajectory: Trajectory) -> list[str]:
+    """Return a trajectory in the TUM format: the names of the columns, then a line per pose."""
     quaternions = se3.to_quaternion(trajectory.T_world_cam[:, :3, :3])
     # Adding 0.0 turns a rounded -0.0 into 0.0.
     poses = np.round(np.hstack([trajectory.T_world_cam[:, :3, 3], quaternions]), 9) + 0.0
     lines = [f"# {POSE_COLUMNS}"]
     for timestamp_s, pose in zip(trajectory.timestamps_s, poses.tolist(), strict=True):
         lines.append(" ".join([f"{timestamp_s:.6f}", *(f"{value:.9f}" for value in pose)]))
-    write_atomically(path, "\n".join(lines) + "\n")
+    return lines
 
 
 def placeable(trajectory: Trajectory) -> NDArray[np.bool_]:

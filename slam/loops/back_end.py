@@ -4,13 +4,12 @@
 import logging
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.errors import RecognizerError
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.external_odometry.comparison import GivenKeyframe
@@ -75,6 +74,7 @@ class BackEnd:
 
     Attributes:
         keyframes: those that were taken in completely.
+        attempts: every loop candidate so far, in the order they were looked at.
         loop_closer: what finds their loops; to be asked once the queue is empty.
         corrections: one after the other, as they came.
     """
@@ -92,8 +92,8 @@ class BackEnd:
         self._judged_id = -1
         self._solving: list[Future[None]] = []
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
-        self._failure: RecognizerError | None = None  # nothing after it is taken in
-        self._attempts: list[LoopAttempt] = []
+        self._failure: Exception | None = None  # nothing after it is taken in
+        self.attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
         self.corrections = [Correction(0, -1, {}, {})]
 
@@ -159,6 +159,11 @@ class BackEnd:
         while self._solving:
             self._solving.pop(0).result()
 
+    def _catch_up_with_what_failed(self) -> None:
+        # The end needs no correction on the way: one that failed is told by `catch_up` alone.
+        self.settle()
+        wait(self._solving)
+
     def solve(
         self,
         T_odom_kf: Mapping[int, FloatArray],
@@ -174,7 +179,7 @@ class BackEnd:
         Raises:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
-        self.catch_up()
+        self._catch_up_with_what_failed()
         with self._clock.stage("graph"):
             self._atlas.move(T_odom_kf)
             if given is not None:
@@ -186,7 +191,7 @@ class BackEnd:
             without = solve(replace(graph, loops={}), self._inlier_probability)
         attempts = tuple(
             _in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
-            for key, attempt in enumerate(self._attempts)
+            for key, attempt in enumerate(self.attempts)
         )
         T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)
         T_start_kf = T_world_kf.copy()
@@ -196,12 +201,23 @@ class BackEnd:
         warnings = (*solution.warnings, *refusals(attempts))
         return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings, largest.trust, steps)
 
+    def unsolved(self, T_odom_kf: Mapping[int, FloatArray]) -> ClosedLoops:
+        """Return the keyframes as the last correction on the way has them, where it has them.
+
+        It is for when they cannot be solved: no loop was weighed, and there are no links.
+        """
+        T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)
+        for each in self.keyframes:
+            if each.segment in (T_world_odom := self.corrections[-1].T_world_odom):
+                T_world_kf[each.id] = T_world_odom[each.segment] @ T_odom_kf[each.id]
+        return ClosedLoops(T_world_kf, T_world_kf.copy(), tuple(self.attempts), (), ())
+
     def solve_images(self, T_odom_kf: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
         """Return the (4, 4) poses by keyframe id that images alone tell, as in `solve`.
 
         Those not joined to the largest submap stay as in T_odom_kf, where the odometry has them.
         """
-        self.catch_up()
+        self._catch_up_with_what_failed()
         self._atlas.move(T_odom_kf)
         graph = self._atlas.largest(with_given=False).graph
         return {**T_odom_kf, **solve(graph, self._inlier_probability).T_world_kf}
@@ -213,7 +229,7 @@ class BackEnd:
     def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:
             return self._queue.popleft().result()
-        except RecognizerError:
+        except Exception:
             self._queue.clear()  # they end the same way, which nobody has to hear twice
             raise
 
@@ -241,15 +257,15 @@ class BackEnd:
             with self._clock.stage("close loops"):
                 linked_ids = [link.ref_id for link in links]
                 attempts = self.loop_closer.close(keyframe, embedding, linked_ids)
-        except RecognizerError as failure:
+        except Exception as failure:
             self._failure = failure
             raise
-        self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self._attempts))))
+        self._atlas.add(keyframe, links, dict(enumerate(attempts, len(self.attempts))))
         self._atlas.move(moved)
         if given:
             self._atlas.give({keyframe.id: given})
         self.keyframes.append(keyframe)
-        self._attempts.extend(attempts)
+        self.attempts.extend(attempts)
         for attempt in attempts:
             if attempt.rejection is None:
                 _log.info("keyframe %d sees keyframe %d again", attempt.query_id, attempt.match_id)

@@ -28,7 +28,7 @@ class LoopCloser:
         verification_config: VerificationConfig,
     ) -> None:
         self._camera = camera
-        self._recognizer = CheckedRecognizer(recognizer)
+        self._recognizer = CheckedRecognizer(recognizer, limit_s=loop_config.recognizer_limit_s)
         self._certificate = certificate_of(recognizer)
         self._loop_config = loop_config
         self._verification_config = verification_config

@@ -97,9 +97,13 @@ def write_ledger(path: Path, result: SlamResult, drift: DriftReport | None) -> N
     Raises:
         LoopcloseError: the file cannot be written.
     """
-    records = loop_records(result, drift)
-    lines = [json.dumps(asdict(record), allow_nan=False) + "\n" for record in records]
-    write_atomically(path, "".join(lines))
+    lines = [ledger_line(loop, result.min_similarity) for loop in decisions(result, drift)]
+    write_atomically(path, "".join(f"{line}\n" for line in lines))
+
+
+def ledger_line(loop: Decision, min_similarity: float) -> str:
+    """Return a decision's line of the ledger, with the threshold that was in use."""
+    return json.dumps(asdict(_record(loop, min_similarity)), allow_nan=False)
 
 
 def read_ledger(path: Path) -> tuple[LoopRecord, ...]:

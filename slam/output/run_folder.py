@@ -2,17 +2,19 @@
 """The folder of one run: what is written there, in which order."""
 
 import json
-import uuid
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from placerec.errors import printable
-from placerec.files import is_file, write_atomically
+from placerec.errors import Salvage, printable
+from placerec.files import write_atomically
 from slam.config import Config, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
+from slam.output.claimed_folder import ClaimedFolder
 from slam.output.ledger import write_ledger
 from slam.output.point_cloud import write_map
 from slam.output.report.page import write_report
@@ -21,30 +23,7 @@ from slam.pose_graph import write_g2o
 from slam.result import GivenOdometry, SlamResult
 from slam.types import Link, RelativePose, SlamError, Trajectory
 
-_CORRECTED = "corrected_odometry"
-
-
-def make_run_folder(folder: Path) -> None:
-    """Create the folder, or make sure that an existing one can be written to.
-
-    Raises:
-        SlamError: it cannot be created or written to, or it holds a recording.
-    """
-    if is_file(folder / "rgb.txt"):
-        raise SlamError(
-            f"the outputs would replace files of the recording in this folder; choose another with"
-            f" --out: {folder}"
-        )
-    probe = folder / f".{uuid.uuid4().hex}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise SlamError(
-            f"cannot write to the output folder (choose another with --out): {error.strerror}:"
-            f" {folder}"
-        ) from error
+_Writer = Callable[[Path], None]
 
 
 def write_run(
@@ -57,9 +36,7 @@ def write_run(
     command: str,
     pose_file: PoseFile | None = None,
 ) -> None:
-    """Write every output of a run; what cannot be computed again comes first.
-
-    Files that an earlier run left there and this one does not make are removed.
+    """Write every output of a run, and put all at once in the place of an earlier run's.
 
     The folder is made where there is none; the config is the one that it ran with. Drift and truth
     (the true camera poses) are None where there are none. The title is the report's; the command,
@@ -67,50 +44,121 @@ def write_run(
     an odometry from elsewhere are written as those of the pose file are, else in the TUM format.
 
     Raises:
-        LoopcloseError: the folder is a recording's, or a file cannot be written; those before it
-            are complete.
+        LoopcloseError: the folder is a recording's, holds a file that would be replaced and is of
+            no run, or another run is writing to it; or files cannot be written: the others are.
     """
-    make_run_folder(folder)
-    if (folder / "summary.json").exists():
-        for name in ("groundtruth.txt", "map.ply", "map_odom.txt", f"{_CORRECTED}.*"):
-            for file in folder.glob(name):  # this run may not make them
-                file.unlink()
-    settings = f"# {printable(command)} --config settings.toml\n\n{to_toml(config)}"
+    with ClaimedFolder(folder) as claimed:
+        claimed.start()
+        write_outputs(claimed, result, drift, truth, config, title, command, pose_file)
+
+
+def write_outputs(
+    claimed: ClaimedFolder,
+    result: SlamResult,
+    drift: DriftReport | None,
+    truth: Trajectory | None,
+    config: Config,
+    title: str,
+    command: str,
+    pose_file: PoseFile | None = None,
+) -> None:
+    """Write every output as `write_run` does, into a folder that is claimed already.
+
+    Raises:
+        LoopcloseError: files cannot be written; the others are complete and in their place.
+    """
+    settings = settings_file(command, config)
+    truth = drift.truth if drift else truth  # as it was compared with
+    writers: dict[str, _Writer] = {
+        "trajectory.txt": lambda path: write_tum(path, result.trajectory),
+        "odometry.txt": lambda path: write_tum(path, result.odometry),
+        "keyframes.txt": lambda path: write_tum(path, _keyframes(result)),
+    }
+    if result.given:
+        writers |= _of_given(result.given, pose_file)
+    if truth is not None:
+        writers["groundtruth.txt"] = lambda path: write_tum(path, truth)
+    writers |= {
+        "loops.jsonl": lambda path: write_ledger(path, result, drift),
+        "pose_graph.g2o": lambda path: _write_graph(path, result),
+        "settings.toml": lambda path: write_atomically(path, settings),
+        "summary.json": lambda path: _write_summary(path, result, drift, command, list(writers)),
+        "report.html": lambda path: write_report(path, result, drift, settings, title, truth),
+    }
+    if config.map.write and result.has_images:
+        writers["map.ply"] = lambda path: write_map(path, result, config.map)
+    salvage = Salvage()
+    claimed.unfinished.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
+    for name, write in writers.items():  # what cannot be computed again comes first
+        path = claimed.unfinished / name
+        salvage.attempt(name, partial(write, path), None)
+        if name in salvage.missing:  # what the run had of it so far is not what it is called
+            path.unlink(missing_ok=True)
+    claimed.complete()
+    if salvage.missing:
+        why = next(iter(salvage.missing.values()))
+        raise SlamError(f"missing: {', '.join(salvage.missing)}: {why}")
+
+
+def begin_outputs(
+    claimed: ClaimedFolder, config: Config, command: str, truth: Trajectory | None
+) -> bool:
+    """Begin a run with those of its outputs that are known; it is finished with them if killed.
+
+    Return whether there were some of an earlier run that was killed, which are gone.
+
+    Raises:
+        LoopcloseError: they cannot be written.
+    """
+    had_left = claimed.start()
+    write_atomically(claimed.unfinished / "settings.toml", settings_file(command, config))
+    if truth is not None:
+        write_tum(claimed.unfinished / "groundtruth.txt", truth)
+    return had_left
+
+
+def settings_file(command: str, config: Config) -> str:
+    """Return settings.toml: the command that made a run, and the settings that it ran with."""
+    return f"# {printable(command)} --config settings.toml\n\n{to_toml(config)}"
+
+
+def _keyframes(result: SlamResult) -> Trajectory:
+    # From the trajectory: the two files say the same of a keyframe, also where it is smoothed.
     keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
-    of_keyframe = np.isin(result.trajectory.timestamps_s, keyframe_s)
+    chosen = np.isin(result.trajectory.timestamps_s, keyframe_s)
+    return Trajectory(result.trajectory.timestamps_s[chosen], result.trajectory.T_world_cam[chosen])
+
+
+def _of_given(given: GivenOdometry, pose_file: PoseFile | None) -> dict[str, _Writer]:
+    corrected, T_map_odom = given.corrected, given.T_map_odom
+    ending = pose_file.format.ending if pose_file else ".txt"
+
+    def write(path: Path) -> None:
+        if pose_file:
+            write_pose_file(path, pose_file, corrected)
+        else:
+            write_tum(path, corrected)
+
+    return {
+        f"corrected_odometry{ending}": write,
+        "map_odom.txt": lambda path: write_tum(
+            path, Trajectory(corrected.timestamps_s, T_map_odom)
+        ),
+    }
+
+
+def _write_graph(path: Path, result: SlamResult) -> None:
     loops = [
         Link(attempt.match_id, attempt.query_id, attempt.outcome)
         for attempt in result.attempts
         if isinstance(attempt.outcome, RelativePose)
     ]
-    write_tum(folder / "trajectory.txt", result.trajectory)
-    write_tum(folder / "odometry.txt", result.odometry)
-    # From the trajectory: the two files say the same of a keyframe, also where it is smoothed.
-    keyframes = Trajectory(
-        result.trajectory.timestamps_s[of_keyframe], result.trajectory.T_world_cam[of_keyframe]
-    )
-    write_tum(folder / "keyframes.txt", keyframes)
-    if result.given:
-        _write_given(folder, result.given, pose_file)
-    truth = drift.truth if drift else truth  # as it was compared with
-    if truth is not None:
-        write_tum(folder / "groundtruth.txt", truth)
-    write_ledger(folder / "loops.jsonl", result, drift)
     steps = result.given.steps if result.given else ()
-    write_g2o(folder / "pose_graph.g2o", result.T_world_kf, [*result.links, *steps, *loops])
-    write_atomically(folder / "settings.toml", settings)
-    summary = {"command": command, **summarise(result, drift)}
-    write_atomically(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
-    write_report(folder / "report.html", result, drift, settings, title, truth)
-    if config.map.write:
-        write_map(folder / "map.ply", result, config.map)
+    write_g2o(path, result.T_world_kf, [*result.links, *steps, *loops])
 
 
-def _write_given(folder: Path, given: GivenOdometry, pose_file: PoseFile | None) -> None:
-    stamps_s = given.corrected.timestamps_s
-    if pose_file:
-        file = folder / f"{_CORRECTED}{pose_file.format.ending}"
-        write_pose_file(file, pose_file, given.corrected)
-    else:
-        write_tum(folder / f"{_CORRECTED}.txt", given.corrected)
-    write_tum(folder / "map_odom.txt", Trajectory(stamps_s, given.T_map_odom))
+def _write_summary(
+    path: Path, result: SlamResult, drift: DriftReport | None, command: str, files: list[str]
+) -> None:
+    summary = {"command": command, "files": files, **summarise(result, drift)}
+    write_atomically(path, json.dumps(summary, indent=2) + "\n")

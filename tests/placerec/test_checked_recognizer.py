@@ -1,4 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+import threading
+
 import numpy as np
 import pytest
 import torch
@@ -193,3 +197,73 @@ def test_threshold_must_be_a_cosine(threshold, error_of):
     message = error_of(lambda: CheckedRecognizer(Answers(min_similarity=threshold)))
     assert "min_similarity" in message
     assert "-1 to 1" in message
+
+
+class Stops:
+    """A recognizer that does something else than answer."""
+
+    min_similarity = 0.5
+
+    def __init__(self, step):
+        self.step = step
+
+    def embed(self, image):
+        self.step()
+        return np.array([1.0, 0.0])
+
+
+@pytest.mark.parametrize("limit_s", [None, 30.0])
+@pytest.mark.parametrize("code", [0, "bye"])
+def test_a_recognizer_does_not_end_the_command(limit_s, code):
+    checked = CheckedRecognizer(Stops(lambda: sys.exit(code)), limit_s=limit_s)
+    with pytest.raises(RecognizerError, match=rf"'Stops' failed: SystemExit: {code}"):
+        checked.embed(IMAGE)
+
+
+def test_what_only_signals_raise_is_a_failure_where_a_recognizer_raises_it():
+    def interrupt():
+        raise KeyboardInterrupt
+
+    checked = CheckedRecognizer(Stops(interrupt), limit_s=30.0)
+    with pytest.raises(RecognizerError, match="'Stops' failed: RuntimeError: KeyboardInterrupt"):
+        checked.embed(IMAGE)
+
+
+def test_a_recognizer_that_never_answers_is_given_up():
+    forever = threading.Event()
+    checked = CheckedRecognizer(Stops(forever.wait), limit_s=0.05)
+    for _ in range(2):  # the second time nobody waits
+        with pytest.raises(RecognizerError, match=r"'Stops' failed: no answer within 0\.05 s"):
+            checked.embed(IMAGE)
+    forever.set()
+    rows = np.eye(2, dtype=np.float32)
+    assert np.array_equal(checked.compare(rows, rows), rows)  # cosines do not need it
+
+
+def test_a_recognizer_that_never_answers_does_not_hold_the_process():
+    code = (
+        "import numpy as np, time\n"
+        "from placerec.checked_recognizer import CheckedRecognizer\n"
+        "class Sleeps:\n"
+        "    min_similarity = 0.5\n"
+        "    def embed(self, image):\n"
+        "        time.sleep(600)\n"
+        "try:\n"
+        "    CheckedRecognizer(Sleeps(), limit_s=0.05).embed(np.zeros((4, 4, 3), np.uint8))\n"
+        "except Exception as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "recognizer 'Sleeps' failed: no answer within 0.05 s\n"
+
+
+def test_a_member_that_fails_is_told():
+    class Odd:
+        embed = None
+
+        @property
+        def min_similarity(self):
+            raise RuntimeError("not yet")
+
+    with pytest.raises(RecognizerError, match="does not tell its members: RuntimeError: not yet"):
+        CheckedRecognizer(Odd())

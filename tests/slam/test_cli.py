@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import errno
 import html
 import json
 import os
@@ -8,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -16,16 +16,20 @@ import cv2
 import numpy as np
 import pytest
 
-from placerec import certificate, drawing
+from placerec import certificate, drawing, files
 from placerec.certificate import Certificate
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
 from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
 from slam.__main__ import main, parse
-from slam.config import Config, to_toml
+from slam.config import Config, load_config, to_toml
 from slam.datasets import read_camera, write_camera
 from slam.evaluation.trajectory import read_tum
+from slam.loops.back_end import BackEnd
+from slam.output import ending
+from slam.output.claimed_folder import ClaimedFolder
 from slam.system import Slam
+from slam.tracking.odometry import RgbdOdometry
 from slam.types import SlamError
 
 ROOT = Path(__file__).parents[2]
@@ -567,7 +571,10 @@ def test_ctrl_c_twice_does_not_wait_for_the_frame(run_slam, recording, recognize
     mine = recognizer(twice, good=3)
     before = signal.getsignal(signal.SIGINT)
     ran = run_slam(recording, "--recognizer", mine)
-    assert ran.complaint == "interrupted before the outputs were complete"
+    told = (
+        "interrupted before the outputs were complete; run_slam out --finish makes the outputs of"
+    )
+    assert ran.complaint == f"{told} what was done until then"
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -599,6 +606,174 @@ def test_ctrl_c_from_a_terminal(recording, tmp_path):
     ran = Ran(process.returncode, out, err, tmp_path / "out")
     assert ran.complaint == "interrupted; what was done until then is in out"
     assert names(ran.folder) == OUTPUTS
+
+
+def fails_at(monkeypatch, number, step):
+    """Let tracking do something else with a frame."""
+    track, calls = RgbdOdometry.track, iter(range(10_000))
+    monkeypatch.setattr(
+        RgbdOdometry,
+        "track",
+        lambda *arguments: step() if next(calls) == number else track(*arguments),
+    )
+
+
+def no_memory():
+    return np.empty(10**15)
+
+
+def no_thread():
+    raise RuntimeError("can't start new thread")
+
+
+def bad_image():
+    return cv2.resize(np.zeros((0, 0)), (4, 4))
+
+
+@pytest.mark.parametrize(
+    ("step", "told"),
+    [
+        (no_memory, "MemoryError: Unable to allocate 7.11 PiB"),
+        (no_thread, "RuntimeError: can't start new thread"),
+        (bad_image, "error: OpenCV"),
+        (lambda: sys.exit, "AttributeError"),  # any other mistake
+    ],
+)
+def test_whatever_fails_keeps_what_was_done_until_then(
+    run_slam, short_recording, monkeypatch, step, told
+):
+    fails_at(monkeypatch, 8, step)
+    ran = run_slam(short_recording(12))
+    assert told in ran.complaint and f"done until then is in {ran.folder.name}" in ran.complaint
+    assert names(ran.folder) == OUTPUTS
+    assert len(read_tum(ran.folder / "trajectory.txt")) >= 7
+
+
+@pytest.mark.parametrize("stage", ["solve", "similarities"])
+def test_a_stage_that_fails_in_the_end_does_not_cost_the_others(
+    run_slam, short_recording, monkeypatch, stage
+):
+    monkeypatch.setattr(BackEnd, stage, lambda *_: no_memory())
+    ran = run_slam(short_recording(12))
+    assert "is missing: MemoryError" in ran.complaint
+    assert names(ran.folder) == OUTPUTS
+    assert len(read_tum(ran.folder / "trajectory.txt")) == 12
+
+
+def test_a_judgement_that_fails_is_a_run_without_one(run_slam, short_recording, monkeypatch):
+    monkeypatch.setattr(ending, "compare_drift", lambda *_: no_memory())
+    ran = run_slam(short_recording(6), *QUICK)
+    assert "the comparison with ground truth is missing: MemoryError" in ran.complaint
+    assert names(ran.folder) == [name for name in OUTPUTS if name != "map.ply"]
+
+
+def test_an_output_folder_that_is_deleted_is_made_again(run_slam, short_recording, monkeypatch):
+    fails_at(monkeypatch, 8, lambda: shutil.rmtree("out"))
+    ran = run_slam(short_recording(12))
+    assert ran.code == 2 and names(ran.folder) == OUTPUTS
+
+
+def test_two_runs_do_not_share_a_folder(run_slam, short_recording, tmp_path):
+    with ClaimedFolder(tmp_path / "out"):
+        ran = run_slam(short_recording(4))
+        assert "another run is writing into the output folder" in ran.complaint
+
+
+def test_a_name_that_is_not_utf_8_is_no_reason_to_fail(run_slam, short_recording):
+    folder = short_recording(6, os.fsdecode(b"caf\xe9"))
+    ran = run_slam(folder)
+    assert ran.code == 0 and names(ran.folder) == OUTPUTS
+    assert load_config(ran.folder / "settings.toml") == Config()
+
+
+def test_a_lens_that_throws_points_away_costs_no_more_than_points(run_slam, short_recording):
+    folder = short_recording(8)
+    camera = read_camera(folder / "camera.toml")
+    for distortion in ((0.0, 0.0, 0.0, -1.0, 0.0), (1e6, -1e9, 0.0, 0.0, 1e12)):
+        write_camera(folder / "camera.toml", replace(camera, distortion=distortion))
+        ran = run_slam(folder)
+        assert ran.code == 0 or ran.complaint
+
+
+@pytest.fixture
+def started(recording, tmp_path):
+    """Start runs that take a while, each in its own process, and wait until they are going on."""
+    processes = []
+
+    def start(*arguments):
+        (tmp_path / "slow_places.py").write_text(
+            "import time\nimport numpy as np\n"
+            "class Slow:\n    min_similarity = 0.5\n"
+            "    def embed(self, image):\n        time.sleep(0.4)\n"
+            "        return np.array([0.6, 0.8], np.float32)\n"
+        )
+        command = [sys.executable, "-m", "slam", str(recording), "--out", "out", *arguments]
+        process = subprocess.Popen(
+            [*command, "--recognizer", "slow_places:Slow"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        processes.append(process)
+        so_far = tmp_path / "out" / "unfinished" / "trajectory.txt"
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline and process.poll() is None:
+            if so_far.exists() and len(so_far.read_text().splitlines()) > 5:
+                break
+            time.sleep(0.02)
+        return process
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_termination_does_what_ctrl_c_does(started, tmp_path, number):
+    process = started()
+    process.send_signal(number)
+    process.send_signal(number)
+    out, err = process.communicate()
+    ran = Ran(process.returncode, out, err, tmp_path / "out")
+    assert ran.complaint == "interrupted; what was done until then is in out"
+    assert names(ran.folder) == OUTPUTS
+
+
+def test_what_a_killed_run_left_is_finished(started, run_slam, tmp_path):
+    process = started()
+    process.kill()
+    process.communicate()
+    out = tmp_path / "out"
+    assert names(out) == ["unfinished"]
+    so_far = read_tum(out / "unfinished" / "trajectory.txt")
+    ran = run_slam("out", "--finish", out="unused")
+    assert ran.code == 0 and "run that was killed had left" in ran.out
+    assert names(out) == [name for name in OUTPUTS if name != "map.ply"]
+    assert len(read_tum(out / "trajectory.txt")) >= len(so_far) > 5
+    assert json.loads((out / "summary.json").read_text())["ate_corrected_m"] < 0.05
+    again = run_slam("out", "--finish", out="unused")
+    assert again.code == 0 and "is complete" in again.err
+
+
+def test_what_a_killed_run_left_is_finished_with_its_poses_from_elsewhere(
+    started, run_slam, recording, tmp_path
+):
+    process = started("--odometry", str(recording / "groundtruth.txt"))
+    process.kill()
+    process.communicate()
+    assert run_slam("out", "--finish", out="unused").code == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert 5 < summary["given_poses"] <= 60 and summary["given_verdict"]
+    assert "corrected_odometry.txt" in names(tmp_path / "out")
+
+
+@pytest.mark.parametrize("folder", ["nowhere", "."])
+def test_where_nothing_was_left_there_is_nothing_to_finish(run_slam, tmp_path, folder):
+    assert "nothing unfinished" in run_slam(folder, "--finish", out="unused").complaint
+    assert not (tmp_path / "nowhere").exists()
 
 
 # Outputs that cannot be written
@@ -636,17 +811,19 @@ def test_ctrl_c_while_the_run_is_written_waits_for_it(run_slam, short_recording,
 
 
 def test_a_full_disk_keeps_what_was_written(run_slam, short_recording, monkeypatch):
-    sync, writable = os.fsync, iter(range(5))
+    write, left = files.write_atomically, iter(range(5))
 
-    def fsync(stream):
-        if next(writable, None) is None:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        sync(stream)
+    def fills_up(path, data):
+        if "unfinished" in path.parts and path.suffix != ".toml" and next(left, None) is None:
+            raise SlamError(f"cannot write {path.name}: No space left on device")
+        write(path, data)
 
-    monkeypatch.setattr(os, "fsync", fsync)
+    for module in list(sys.modules.values()):
+        if getattr(module, "write_atomically", None) is write:
+            monkeypatch.setattr(module, "write_atomically", fills_up)
     ran = run_slam(short_recording(6))
-    assert "No space left on device" in ran.complaint
-    assert len(names(ran.folder)) == 5 and "trajectory.txt" in names(ran.folder)
+    assert "No space left on device" in ran.complaint and "report.html" in ran.complaint
+    assert {"trajectory.txt", "odometry.txt"} < set(names(ran.folder)) < set(OUTPUTS)
     assert len(read_tum(ran.folder / "trajectory.txt")) == 6
 
 

@@ -50,7 +50,7 @@ def write_report(
         LoopcloseError: the file cannot be written.
     """
     loops = decisions(result, drift)
-    chosen = choose(loops)
+    chosen = choose(loops) if result.has_images else []
     paths = gather(result, drift, truth)
     frames = len(result.trajectory) + len(result.untracked_s)
     environment = jinja2.Environment(

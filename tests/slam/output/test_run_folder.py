@@ -3,7 +3,6 @@ import errno
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -15,8 +14,9 @@ from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_config
 from slam.evaluation.drift import compare_drift
 from slam.evaluation.trajectory import read_tum
+from slam.output import run_folder
 from slam.output.ledger import read_ledger
-from slam.output.run_folder import make_run_folder, write_run
+from slam.output.run_folder import write_run
 from slam.system import Slam
 from slam.types import Rejection, RejectionReason, RelativePose, SlamError, Trajectory
 
@@ -214,39 +214,19 @@ def test_a_full_disk_leaves_the_files_before_it_whole(
         assert (tmp_path / name).read_bytes() == (written / name).read_bytes()
 
 
-def test_a_run_folder_is_made_with_its_parents_and_left_empty(tmp_path):
-    folder = tmp_path / "runs" / "desk"
-    make_run_folder(folder)
-    make_run_folder(folder)
-    assert folder.is_dir() and names(folder) == []
+def test_one_output_that_cannot_be_made_does_not_cost_the_others(tmp_path, monkeypatch, result):
+    def fail(*_):
+        raise MemoryError("no more")
 
-
-def test_an_earlier_run_is_not_touched_by_making_its_folder(tmp_path):
-    (tmp_path / "report.html").write_text("mine")
-    make_run_folder(tmp_path)
-    assert names(tmp_path) == ["report.html"]
-
-
-@pytest.mark.parametrize("inside", ["", "deeper"])
-def test_a_file_in_the_way_is_one_clear_line(tmp_path, inside):
-    (tmp_path / "taken").write_text("")
-    folder = tmp_path / "taken" / inside
-    with pytest.raises(SlamError, match=r"cannot write to the output folder .*--out") as error:
-        make_run_folder(folder)
-    assert "\n" not in str(error.value) and str(error.value).endswith(str(folder))
-
-
-def test_a_folder_that_may_not_be_written_to_is_one_clear_line(tmp_path, monkeypatch):
-    def touch(path):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-
-    monkeypatch.setattr(Path, "touch", touch)
-    with pytest.raises(SlamError, match="Permission denied"):
-        make_run_folder(tmp_path)
+    monkeypatch.setattr(run_folder, "write_report", fail)
+    with pytest.raises(SlamError, match=r"missing: report\.html: MemoryError: no more"):
+        write_run(tmp_path, result, None, None, CONFIG, *NAMES)
+    assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt", "report.html"})
 
 
 def test_what_an_earlier_run_left_is_not_mistaken_for_this_one_s(result, tmp_path):
-    for name in ("map.ply", "groundtruth.txt", "summary.json"):
+    (tmp_path / "summary.json").write_text('{"frames_tracked": 5}')
+    for name in ("map.ply", "groundtruth.txt"):
         (tmp_path / name).write_text("from an earlier run")
     config = Config(map=MapConfig(write=False))
     write_run(tmp_path, result, None, None, config, *NAMES)
@@ -272,7 +252,16 @@ def test_files_that_no_run_wrote_are_left_alone(result, tmp_path):
     assert (tmp_path / "groundtruth.txt").read_text() == "somebody's"
 
 
-def test_a_recording_is_no_run_folder(tmp_path):
-    (tmp_path / "rgb.txt").touch()
-    with pytest.raises(SlamError, match="would replace files of the recording"):
-        make_run_folder(tmp_path)
+def test_a_file_added_to_an_earlier_run_is_left_alone(result, tmp_path):
+    config = Config(map=MapConfig(write=False))
+    write_run(tmp_path, result, None, None, config, *NAMES)
+    (tmp_path / "groundtruth.txt").write_text("somebody's")
+    write_run(tmp_path, result, None, None, config, *NAMES)
+    assert (tmp_path / "groundtruth.txt").read_text() == "somebody's"
+
+
+def test_a_file_of_somebody_s_is_not_written_over(result, tmp_path):
+    (tmp_path / "trajectory.txt").write_text("somebody's")
+    with pytest.raises(SlamError, match=r"holds a trajectory\.txt that is not known to be of"):
+        write_run(tmp_path, result, None, None, CONFIG, *NAMES)
+    assert (tmp_path / "trajectory.txt").read_text() == "somebody's"

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of a run, whatever ended it: everything that was done is written, and told."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from placerec.errors import LoopcloseError, cause_of
+from slam.config import Config
+from slam.datasets.pose_files import PoseFile
+from slam.evaluation.drift import DriftReport, compare_drift
+from slam.output.claimed_folder import ClaimedFolder
+from slam.output.journal import Header
+from slam.output.run_folder import write_outputs
+from slam.output.summary import summary_table
+from slam.result import SlamResult
+from slam.system import Slam
+from slam.types import SlamError, Trajectory
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the outputs of a run are made of, its result apart.
+
+    Attributes:
+        claimed: the folder that they go to.
+        header: what it is of.
+        config: the settings that it runs with.
+        truth: the true camera poses, None without.
+        poses: the poses from elsewhere, None without.
+        doubts: asks what is to be said of the recordings; reading them may add something.
+    """
+
+    claimed: ClaimedFolder
+    header: Header
+    config: Config
+    truth: Trajectory | None
+    poses: PoseFile | None
+    doubts: Callable[[], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What there is to tell of a run.
+
+    Attributes:
+        table: the run in a few lines.
+        problems: what is missing and why; none after a good run.
+    """
+
+    table: str
+    problems: tuple[str, ...]
+
+
+def reason_of(stopped: BaseException) -> str:
+    """Return in one line what ended a run early."""
+    return "interrupted" if isinstance(stopped, KeyboardInterrupt) else cause_of(stopped)
+
+
+def conclude(
+    run: Run,
+    slam: Slam,
+    stopped: BaseException | None = None,
+    unwritten: Exception | None = None,
+) -> Ended:
+    """Finish a run, compare it with the truth and write its outputs, as far as each can be done.
+
+    It may have been stopped by something, and its journal may have failed to be written.
+
+    Raises:
+        LoopcloseError: nothing was tracked.
+    """
+    folder = run.claimed.path
+    problems: list[str] = []
+    result = slam.finish()
+    drift, doubts = _judge(result, run, problems)
+    if unwritten:
+        doubts = (f"the work could not be kept on disk on the way: {cause_of(unwritten)}", *doubts)
+    if stopped is not None:
+        doubts = (f"the run stopped early: {reason_of(stopped)}", *doubts)
+        problems.insert(0, f"{reason_of(stopped)}; what was done until then is in {folder}")
+    result = replace(result, warnings=(*doubts, *result.missing, *run.doubts(), *result.warnings))
+    try:
+        write_outputs(
+            run.claimed,
+            result,
+            drift,
+            run.truth,
+            run.config,
+            run.header.title,
+            run.header.command,
+            run.poses,
+        )
+    except LoopcloseError as error:
+        problems.append(str(error))
+    if result.given and not result.given.fits:
+        problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
+    return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
+
+
+def _judge(
+    result: SlamResult, run: Run, problems: list[str]
+) -> tuple[DriftReport | None, tuple[str, ...]]:
+    """Compare with ground truth where there is enough of it; else say why not."""
+    if run.truth is None:
+        return None, ("there is no ground truth, so no ATE can be given",)
+    try:
+        drift = compare_drift(result, run.truth, run.config.evaluation)
+    except SlamError as error:
+        return None, (f"no ATE can be given: {error}",)
+    except Exception as error:  # not the truth's fault
+        problems.append(f"the comparison with ground truth is missing: {cause_of(error)}")
+        return None, (problems[-1],)
+    return drift, drift.doubts
