@@ -5,6 +5,7 @@ The TOML file, the command-line flags and the settings shown in the report all c
 """
 
 import json
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -227,8 +228,14 @@ def _describe(error: ValidationError) -> str:
     first = error.errors()[0]
     name = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"there is no setting {name}; `run_slam --help` lists them all"
+        close = get_close_matches(name, _names(), 1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        return f"there is no setting {name}; {hint}`run_slam --help-all` lists them all"
     return f"setting {name} = {first['input']!r}: {first['msg']}"
+
+
+def _names() -> list[str]:
+    return [f"{section}.{name}" for section, values in Config() for name, _ in values]
 
 
 def to_toml(config: Config) -> str:

@@ -93,10 +93,17 @@ def test_bytes_that_are_not_text(tmp_path):
         load_config(path)
 
 
-@pytest.mark.parametrize("name", ["loop.canditates", "loops"])
-def test_an_unknown_setting_is_named(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("loop.canditates", "did you mean loop.candidates? `run_slam --help-all`"),
+        ("loop.min_gap_s", "did you mean loop.min_gap? `run_slam --help-all`"),
+        ("elephants", "`run_slam --help-all` lists them all"),
+    ],
+)
+def test_an_unknown_setting_is_named_with_one_that_it_is_like(tmp_path, name, hint):
     message = error_of(tmp_path, f"{name} = 3\n")
-    assert f"no setting {name};" in message
+    assert f"no setting {name}; {hint}" in message
 
 
 @pytest.mark.parametrize(
