@@ -30,7 +30,7 @@ from slam.config import Config, InputConfig, load_config, to_toml
 from slam.datasets import download, open_sequence, read_camera
 from slam.datasets.cameras import read_intrinsics
 from slam.datasets.images import read_color, read_depth
-from slam.datasets.phones.exr import read_exr
+from slam.datasets.images.exr import read_exr
 from slam.datasets.pose_files import read_odometry
 from slam.output.ledger import read_ledger
 from slam.pose_graph import read_g2o

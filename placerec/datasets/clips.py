@@ -12,6 +12,7 @@ from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_rea
 from placerec.datasets.tables import read_csv
 from placerec.datasets.tum_lists import as_whole_number, slashed
 from placerec.errors import RecognizerError
+from placerec.files import is_file
 
 TEST_FLOORS = frozenset({"basement3", "floor6", "floor11", "floor16", "floor21"})
 VALIDATION_FLOORS = frozenset({"basement0", "floor9", "floor19"})
@@ -78,7 +79,7 @@ def _read_frames(folder: Path) -> list[Frame]:
     table = folder / "dataset.csv"
     frames = []
     for line, (path, floor) in read_csv(table, ("image_path", "floor")):
-        path = path if (folder / path).is_file() else slashed(path)
+        path = path if is_file(folder / path) else slashed(path)
         match = _FRAME.fullmatch(Path(path).name)
         number = as_whole_number(match["number"]) if match else None
         if match is None or number is None:

@@ -17,6 +17,7 @@ from placerec.datasets.place_dataset import PlaceDataset
 from placerec.datasets.tum import read_tum, read_tum_sessions
 from placerec.datasets.tum_lists import as_whole_number
 from placerec.errors import RecognizerError
+from placerec.files import is_file, is_folder
 
 
 def open_dataset(source: str, part: str = "test") -> PlaceDataset:
@@ -59,21 +60,21 @@ def _is_dataset(folder: Path) -> bool:
 
 
 def _holds_clips(folder: Path) -> bool:
-    return (folder / "dataset.csv").is_file()
+    return is_file(folder / "dataset.csv")
 
 
 def _reader_of_whole(folder: Path) -> Callable[[Path], PlaceDataset] | None:
     """Return what reads a folder that has no parts, by what it holds."""
-    if (folder / "rgb.txt").is_file():
+    if is_file(folder / "rgb.txt"):
         return read_tum
-    if (folder / "query").is_dir():
+    if is_folder(folder / "query"):
         return read_frame_pairs
     return read_oxford if find_ground_truth(folder) is not None else None
 
 
 def _read_folder(source: str, part: str) -> PlaceDataset:
     folder, named = _split(source)
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise _absent(source)
     if _holds_clips(folder):
         return read_clips(folder, named or part)
@@ -91,11 +92,11 @@ def _read_folder(source: str, part: str) -> PlaceDataset:
 
 def _read_sessions(queries: Path, references: Path, tolerance: str | None) -> PlaceDataset:
     for folder in (queries, references):
-        if not folder.is_dir():
+        if not is_folder(folder):
             raise _absent(str(folder))
     if queries.resolve() == references.resolve():
         raise RecognizerError(f"both sides of + are one folder; name it once, alone: {queries}")
-    are_recordings = [(folder / "rgb.txt").is_file() for folder in (queries, references)]
+    are_recordings = [is_file(folder / "rgb.txt") for folder in (queries, references)]
     if all(are_recordings) and tolerance is None:
         return read_tum_sessions(queries, references)
     if any(are_recordings):
@@ -128,17 +129,17 @@ def _located(source: str) -> Path:
 
 def _split_sessions(source: str) -> tuple[Path, Path, str | None] | None:
     """Return both folders and what follows a colon; None where the source is one folder."""
-    if _split(source)[0].is_dir():
+    if is_folder(_split(source)[0]):
         return None
     for plus in re.finditer(re.escape("+"), source):
         queries, references = source[: plus.start()], source[plus.end() :]
-        if _located(queries).is_dir():
+        if is_folder(_located(queries)):
             return _located(queries), *_split(references)
     return None
 
 
 def _split(source: str) -> tuple[Path, str | None]:
     folder, colon, part = source.rpartition(":")
-    if not colon or find_data(source) or not _located(folder).is_dir():
+    if not colon or find_data(source) or not is_folder(_located(folder)):
         return _located(source), None
     return _located(folder), part

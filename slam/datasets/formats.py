@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from placerec.files import is_file, is_folder
 from slam.config import InputConfig
 from slam.datasets.bags import open_bag
 from slam.datasets.bags.bag import SUFFIXES
@@ -107,12 +108,12 @@ def open_sequence(path: Path, config: InputConfig) -> Sequence:
     Raises:
         LoopcloseError: there is nothing, it fits no format, or what it holds cannot be used.
     """
-    if not path.exists():
+    if not (is_file(path) or is_folder(path)):
         raise SlamError(
             "there is no such folder; give the folder of a recording, or a short name of the TUM"
             f" RGB-D benchmark such as fr1_desk: {path}"
         )
-    if not path.is_dir():
+    if not is_folder(path):
         if path.suffix in SUFFIXES:
             return open_bag(path, config)
         raise SlamError(

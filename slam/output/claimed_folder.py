@@ -2,7 +2,6 @@
 """The folder that a run writes to: nobody else's, and never with files of two runs."""
 
 import fcntl
-import json
 import os
 import re
 import shutil
@@ -12,6 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from placerec.errors import LoopcloseError
+from placerec.files import check_file, read_json
 from slam.datasets.formats import find_format
 from slam.types import SlamError
 
@@ -194,15 +195,16 @@ class ClaimedFolder:
     def _owned(self) -> set[str]:
         """Return the names of the outputs that an earlier run has left, by what it tells."""
         try:
-            summary = json.loads((self.path / _SUMMARY).read_text(encoding="utf-8"))
+            summary = read_json(self.path / _SUMMARY)
             if isinstance(summary, dict) and "frames_tracked" in summary:
                 return {_SUMMARY, *(set(OUTPUTS) & set(summary.get("files", OUTPUTS)))}
-        except (OSError, ValueError, TypeError, RecursionError):
+        except (LoopcloseError, TypeError):
             pass
         try:
+            check_file(self.path / _SETTINGS)
             with (self.path / _SETTINGS).open(encoding="utf-8", errors="replace") as settings:
                 is_ours = settings.readline(10_000).endswith("--config settings.toml\n")
-        except OSError:
+        except (LoopcloseError, OSError):
             is_ours = False
         return set(OUTPUTS) if is_ours else set()
 

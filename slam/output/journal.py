@@ -13,6 +13,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from placerec.errors import LoopcloseError
+from placerec.files import read_bytes
 from slam.evaluation.trajectory import tum_lines
 from slam.output.claimed_folder import JOURNAL
 from slam.output.decision import Decision
@@ -36,6 +38,7 @@ from slam.types import (
 )
 
 _EVERY_S = 2.0
+_MOST_BYTES = 1 << 32  # of a journal: a run of many hours
 _UPPER = np.triu_indices(6)
 _Line = dict[str, Any]
 
@@ -186,13 +189,13 @@ def read_journal(folder: Path) -> Journal:
     """
     path = folder / JOURNAL
     try:
-        first, *lines = path.read_bytes().split(b"\n")
+        first, *lines = read_bytes(path, _MOST_BYTES).split(b"\n")
         header = json.loads(first)
         camera = Camera(**{**header["camera"], "distortion": tuple(header["camera"]["distortion"])})
         header = {**header, "camera": camera, "warnings": tuple(header["warnings"])}
         journal = Journal(Header(**header))
-    except OSError as error:
-        raise SlamError(f"there is nothing unfinished: {error.strerror}: {path}") from error
+    except LoopcloseError as error:
+        raise SlamError(f"there is nothing unfinished to read: {error}") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise SlamError(f"the journal does not say what run it is of: {path}") from error
     shape = (camera.height, camera.width)

@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.datasets.images import BrokenImage, content_of, decode
+from placerec.datasets.images import BrokenImage, content_of, decode_content
 from placerec.files import array_of
-from slam.datasets.images.exr import read_exr
+from slam.datasets.images.exr import EXR_MAGIC, decode_exr
 from slam.types import SlamError
 
 _NO_DEPTH = np.iinfo(np.uint16).max  # some sensors' drivers write it instead of 0
 _MOST_M = 50.0  # no camera indoors measures more: floating-point depth beyond is in other units
-_NUMPY, _EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
+_NUMPY_MAGIC = b"\x93NUMPY"
 
 
 def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32] | BrokenImage:
@@ -54,23 +54,18 @@ def depth_units(paths: Iterable[Path], depth_scale: float) -> float:
 
 def _read_units(path: Path) -> NDArray[Any] | BrokenImage:
     """Return what a depth file holds, whatever its name says that it is."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(_NUMPY))
-    except OSError as error:
-        return BrokenImage(path, error.strerror or "cannot be read")
-    if start.startswith(_EXR):
-        return read_exr(path)
-    if start != _NUMPY:
-        return decode(path, cv2.IMREAD_UNCHANGED)
-    return read_array(path)
-
-
-def read_array(path: Path) -> NDArray[Any] | BrokenImage:
-    """Return the rows and columns of numbers that NumPy wrote into a file."""
     content = content_of(path)
     if isinstance(content, BrokenImage):
         return content
+    if content.startswith(EXR_MAGIC):
+        return decode_exr(content, path)
+    if content.startswith(_NUMPY_MAGIC):
+        return _decode_array(content, path)
+    return decode_content(content, path, cv2.IMREAD_UNCHANGED)
+
+
+def _decode_array(content: bytes, path: Path) -> NDArray[Any] | BrokenImage:
+    """Return the rows and columns of numbers that NumPy wrote into a file."""
     try:
         array = array_of(content)
     except ValueError:

@@ -16,7 +16,7 @@ from placerec.datasets.image_size import MOST_PIXELS
 from placerec.datasets.images import BrokenImage, content_of
 from slam.types import SlamError
 
-_MAGIC = b"\x76\x2f\x31\x01"
+EXR_MAGIC = b"\x76\x2f\x31\x01"
 _TILES_OR_PARTS = 0x200 | 0x800 | 0x1000
 _PIXEL_TYPES: dict[int, np.dtype[Any]] = {
     0: np.dtype("<u4"),
@@ -40,9 +40,16 @@ def read_exr(path: Path) -> NDArray[np.float32] | BrokenImage:
         SlamError: the image is of a kind that is not read here.
     """
     content = content_of(path)
-    if isinstance(content, BrokenImage):
-        return content
-    if content and not content.startswith(_MAGIC):
+    return content if isinstance(content, BrokenImage) else decode_exr(content, path)
+
+
+def decode_exr(content: bytes, path: Path) -> NDArray[np.float32] | BrokenImage:
+    """Return what `read_exr` does of a file, named `path`, with this content.
+
+    Raises:
+        SlamError: the image is of a kind that is not read here.
+    """
+    if content and not content.startswith(EXR_MAGIC):
         return BrokenImage(path, "not an OpenEXR image")
     try:
         return _decoded(content, path)

@@ -95,3 +95,12 @@ def test_paths_of_windows_are_read(tower):
     before = read_clips(folder).paths
     table.write_text(table.read_text().replace("images/", "images\\"))
     assert read_clips(folder).paths == before
+
+
+@pytest.mark.parametrize("digits", [300, 5000])
+def test_a_name_too_long_for_a_file_is_refused(tower, digits):
+    folder = tower({"floor6": {"hall": 1}})
+    name = f"images/floor6/hall_frame_{digits * '9'}.jpg"
+    (folder / "dataset.csv").write_text(f"image_path,floor\n{name},floor6\n")
+    with pytest.raises(LoopcloseError, match=r"line 2 names 'hall_frame_999"):
+        read_clips(folder)

@@ -120,3 +120,9 @@ def test_unknown_format_lists_the_known_ones(tmp_path):
     with pytest.raises(RecognizerError, match=r"TUM RGB-D.*New College.*clips") as caught:
         open_dataset(str(tmp_path))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [5000 * "x", "{0}:part", "{0}+{0}", "a\0b", "a\0b:part"])
+def test_a_name_that_no_folder_can_have_is_that_of_none(name):
+    with pytest.raises(RecognizerError, match="there is no such folder"):
+        open_dataset(name.format(5000 * "x"))

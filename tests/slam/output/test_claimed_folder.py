@@ -155,6 +155,13 @@ def test_who_is_killed_at_any_step_never_leaves_files_of_two_runs(
             assert all("new" in path.read_text() for path in tmp_path.iterdir())
 
 
+def test_pipes_called_like_outputs_are_somebody_s(tmp_path):
+    for name in ("summary.json", "settings.toml"):
+        os.mkfifo(tmp_path / name)
+    with ClaimedFolder(tmp_path) as claimed, pytest.raises(SlamError, match="settings.toml that is not"):
+        claimed.refuse_foreign(OUTPUTS)
+
+
 def test_what_killed_runs_left_of_single_files_is_removed(tmp_path):
     (tmp_path / ".summary.json.4711.part").touch()
     (tmp_path / ".thesis.tex.4711.part").touch()

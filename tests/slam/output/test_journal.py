@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import os
 import time
 
 import numpy as np
@@ -106,6 +107,12 @@ def test_no_journal_is_one_clear_line(tmp_path, content):
     if content is not None:
         (tmp_path / JOURNAL).write_bytes(content)
     with pytest.raises(SlamError, match=r"nothing unfinished|does not say what run"):
+        read_journal(tmp_path)
+
+
+def test_a_pipe_is_no_journal(tmp_path):
+    os.mkfifo(tmp_path / JOURNAL)
+    with pytest.raises(SlamError, match=r"nothing unfinished to read: .* it is a pipe"):
         read_journal(tmp_path)
 
 
