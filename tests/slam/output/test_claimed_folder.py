@@ -158,7 +158,7 @@ def test_who_is_killed_at_any_step_never_leaves_files_of_two_runs(
 def test_pipes_called_like_outputs_are_somebody_s(tmp_path):
     for name in ("summary.json", "settings.toml"):
         os.mkfifo(tmp_path / name)
-    with ClaimedFolder(tmp_path) as claimed, pytest.raises(SlamError, match="settings.toml that is not"):
+    with ClaimedFolder(tmp_path) as claimed, pytest.raises(SlamError, match=r"settings\.toml that"):
         claimed.refuse_foreign(OUTPUTS)
 
 
