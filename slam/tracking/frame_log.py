@@ -37,6 +37,11 @@ def check_frame(frame: Frame, camera: Camera, last_s: float) -> None:
         )
 
 
+# Where for so many frames only features in so little of the image agree, those in the rest of it
+# may be the ones that stand still.
+_WHILE, _LITTLE = 15, 0.5
+
+
 class LoggedFrame(NamedTuple):
     """A frame that was placed against a keyframe.
 
@@ -48,6 +53,7 @@ class LoggedFrame(NamedTuple):
         T_odom_cam: (4, 4), as it was known when the frame was tracked.
         newest_id: the newest keyframe then.
         T_ref_cam: (4, 4) motions of a new keyframe by the id of the other one.
+        covered: in which share of the image features agree on where it was taken.
     """
 
     timestamp_s: float
@@ -57,6 +63,7 @@ class LoggedFrame(NamedTuple):
     T_odom_cam: FloatArray
     newest_id: int
     T_ref_cam: dict[int, FloatArray]
+    covered: float = 1.0
 
 
 def _shared_bend(frames: Sequence[LoggedFrame], T_any_kf: FloatArray) -> FloatArray | None:
@@ -116,6 +123,7 @@ class FrameLog:
                 tracked.T_odom_cam,
                 newest_id,
                 {link.ref_id: link.motion.T_ref_query for link in tracked.links},
+                tracked.covered,
             )
         )
 
@@ -222,7 +230,7 @@ class FrameLog:
         return np.setdiff1d(every_s, [frame.timestamp_s for frame in placed])
 
     def warnings(self, T_any_kf: FloatArray) -> tuple[str, ...]:
-        """Return a sentence about the frames that were lost, and one about those not joined."""
+        """Return what is to be said of frames that were lost, not joined, or placed by little."""
         total, warnings = len(self._lost_s) + len(self._frames), []
         if self._lost_s:
             warnings.append(
@@ -242,7 +250,24 @@ class FrameLog:
                 f" {unjoined_s[-1]:.3f} s, were tracked apart from the rest and are in no"
                 f" trajectory: no loops at two places agree where they belong{beginning}"
             )
-        return tuple(warnings)
+        return (*warnings, *self._dragged())
+
+    def _dragged(self) -> tuple[str, ...]:
+        """Return a sentence if the camera may have followed something that moves by itself."""
+        covered = np.array([frame.covered for frame in self._frames])
+        if len(covered) < _WHILE:
+            return ()
+        usual = np.median(np.lib.stride_tricks.sliding_window_view(covered, _WHILE), axis=1)
+        doubted = np.flatnonzero(usual < _LITTLE)
+        if not len(doubted):
+            return ()
+        frames = np.unique(np.add.outer(doubted, np.arange(_WHILE)))
+        start_s, end_s = (self._frames[n].timestamp_s for n in frames[[0, -1]])
+        return (
+            f"features in only {np.median(covered[frames]):.0%} of the image agree on where"
+            f" {len(frames)} frames between {start_s:.3f} s and {end_s:.3f} s were taken: if"
+            " something moves before the camera there, the path may be that thing's",
+        )
 
     def _on(self, chosen: NDArray[np.bool_]) -> list[LoggedFrame]:
         """Return the frames whose keyframe is chosen by a (K,) mask; later keyframes are not."""

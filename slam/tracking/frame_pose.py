@@ -24,6 +24,7 @@ from slam.types import (
     RejectionReason,
 )
 
+_CELLS = 8.0
 _RADIUS_PX = 4.0  # how far from its place a landmark is looked for once the pose is known
 
 
@@ -39,6 +40,15 @@ class View:
     def grid(self) -> FeatureGrid:
         """The features, ready to be searched."""
         return FeatureGrid(self.features, self.camera)
+
+    def covered(self, features: IntArray) -> float:
+        """Return in which share of the image some features are, (N,) of all: 1 where all are.
+
+        The image counts by cells, an eighth of it wide, in which there are any.
+        """
+        cells = np.floor(self.features.undistorted_px * (_CELLS / self.camera.width))
+        numbers = cells[:, 0] + 1e3 * cells[:, 1]
+        return len(np.unique(numbers[features])) / max(1, len(np.unique(numbers)))
 
     @property
     def with_depth(self) -> int:

@@ -120,7 +120,8 @@ class RgbdOdometry:
         if isinstance(frame_pose, FramePose):
             view, frame_pose = self._straightened_again(view, seen, frame_pose)
             self._T_given_last = T_given_cam
-            return self._go_on(view, frame_pose, is_keyframe)
+            tracked = self._go_on(view, frame_pose, is_keyframe)
+            return replace(tracked, covered=view.covered(frame_pose.pairs[:, 1]))
         self._trails.miss()
         return self._start(view, T_given_cam) if is_worth_more else frame_pose
 

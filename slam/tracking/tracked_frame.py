@@ -22,6 +22,7 @@ class TrackedFrame:
         links: the new keyframe's motions to earlier ones.
         moved: (4, 4) T_odom_cam by id of the keyframes that the odometry moved since the last new
             one; empty where the frame is no keyframe.
+        covered: in which share of the image features agree on the pose.
     """
 
     keyframe_id: int
@@ -31,6 +32,7 @@ class TrackedFrame:
     new_keyframe: Keyframe | None = None
     links: tuple[Link, ...] = ()
     moved: Mapping[int, FloatArray] = field(default_factory=dict)
+    covered: float = 1.0
 
 
 def new_keyframe(

@@ -144,6 +144,26 @@ def test_lost_frames_and_those_apart_are_warned_of(frames):
     assert FrameLog().warnings(poses()) == ()
 
 
+@pytest.mark.parametrize(
+    ("covered", "said"),
+    [
+        (40 * [0.8], None),
+        (14 * [0.3], None),
+        ([*20 * [0.9], *7 * [0.3], *20 * [0.9]], None),
+        ([*20 * [0.9], *30 * [0.3], *20 * [0.9]], "only 30% of the image"),
+        (15 * [0.3], "15 frames between 0.000 s and 14.000 s"),
+    ],
+    ids=["all of it", "too few", "for a moment", "for a while", "from the start"],
+)
+def test_frames_that_little_of_the_image_agrees_on_are_warned_of(covered, said):
+    log = FrameLog()
+    for second, share in enumerate(covered):
+        log.add(float(second), TrackedFrame(0, np.eye(4), np.eye(4), covered=share))
+    warnings = log.warnings(poses(0.0))
+    assert len(warnings) == (said is not None)
+    assert all(said in each and "something moves before the camera" in each for each in warnings)
+
+
 def test_frames_follow_another_odometry_but_where_it_is_doubted():
     T_kf = poses(0.0, 1.0, 2.0)
     log = walk((0, 0.0, ()), (0, 0.2, None), (1, 0.0, [0]), (1, 0.2, None), (2, 0.0, [1]))

@@ -40,6 +40,15 @@ def test_features_with_depth_are_counted(view):
     assert view.with_depth == 113
 
 
+def test_the_share_of_the_image_that_features_cover_is_of_all_that_there_are(view):
+    everything = np.arange(120)
+    assert view.covered(everything) == 1.0
+    assert view.covered(everything[:0]) == 0.0
+    left = everything[view.features.undistorted_px[:, 0] < 320.0]
+    assert 0.3 < view.covered(left) < 0.7
+    assert view.covered(left[::2]) <= view.covered(left)
+
+
 def test_the_pose_that_all_pairs_agree_on_is_found(the_map, view, scene):
     enough = VerificationConfig(min_matches=120, min_inliers=120)
     found = agreed_pose(the_map, view, PAIRS, enough)

@@ -56,6 +56,20 @@ def test_every_frame_of_a_good_recording_is_tracked_along_the_truth(tracked, T_f
     assert se3.translation_norm(T_first_cam).max() > 0.5
 
 
+def test_a_thing_that_is_followed_instead_of_the_room_covers_little_of_the_image(frames, tracked):
+    paint = np.random.default_rng(0).integers(0, 255, (48, 16, 3), dtype=np.uint8)
+    paint = paint.repeat(5, axis=0).repeat(5, axis=1)
+    passing = []
+    for i, frame in enumerate(frames):
+        rgb, depth_m = frame.rgb.copy(), frame.depth_m.copy()
+        here = slice(10 * i % 240, 10 * i % 240 + 80)
+        rgb[:, here], depth_m[:, here] = paint, 0.7
+        passing.append(replace(frame, rgb=rgb, depth_m=depth_m))
+    shares = [each.covered for each in run(passing) if isinstance(each, TrackedFrame)]
+    assert np.median(shares[-20:]) < 0.5
+    assert np.median([each.covered for each in tracked[1:]]) > 0.7
+
+
 def test_the_first_frame_is_keyframe_0_at_the_origin(tracked, frames):
     first = tracked[0].new_keyframe
     assert first.id == tracked[0].keyframe_id == 0 and first.timestamp_s == frames[0].timestamp_s
