@@ -29,7 +29,7 @@ from slam.datasets.true_poses import read_pose_list
 from slam.types import FloatArray, IntArray, SlamError
 
 _NEIGHBOURS = 8  # a stamp's partner is looked for among this many nearest ones
-_MANY_UNPAIRED = 0.1
+_MANY_UNPAIRED, _FEW_PAIRED = 0.1, 0.1
 
 
 def open_tum(path: Path, config: InputConfig) -> Sequence:
@@ -140,9 +140,16 @@ def pair_in_time(
     """Return (M, 2) indices of the colour and depth images, (N,) and (K,) times, that pair up.
 
     Raises:
-        SlamError: none do.
+        SlamError: none do, or next to none.
     """
     pairs = associate(color_s, depth_s, max_difference_s)
+    fewer = min(len(color_s), len(depth_s))
+    if len(pairs) and len(pairs) < _FEW_PAIRED * fewer:
+        raise SlamError(
+            f"of {len(color_s)} colour and {len(depth_s)} depth images only {len(pairs)} pair up"
+            f" within {max_difference_s:g} s (--input.max-time-difference-s); are their times by"
+            f" one clock, and in one unit? {path}"
+        )
     if not len(pairs):
         smallest_s = np.abs(depth_s[nearest(depth_s, color_s)] - color_s).min()
         raise SlamError(

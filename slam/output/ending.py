@@ -16,6 +16,8 @@ from slam.result import SlamResult
 from slam.system import Slam
 from slam.types import SlamError, Trajectory
 
+_HARDLY_ANY, _WORTH_A_WORD = 0.1, 20  # frames placed to each that was not; of these at least
+
 
 @dataclass(frozen=True)
 class Run:
@@ -92,6 +94,12 @@ def conclude(
         )
     except LoopcloseError as error:
         problems.append(str(error))
+    placed, untracked = len(result.trajectory), len(result.untracked_s)
+    if placed < _HARDLY_ANY * untracked and untracked >= _WORTH_A_WORD:
+        problems.append(
+            f"only {placed} of {placed + untracked} frames could be placed, so that next to nothing"
+            f" is known of the rest; {folder / 'report.html'} says why"
+        )
     if result.given and not result.given.fits:
         problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
     return Ended(summary_table(result, drift, folder), (*problems, *result.missing))

@@ -190,6 +190,15 @@ def test_hardly_any_frames_are_a_run_without_a_verdict(short_recording, run_slam
     assert any("no ATE can be given" in warning for warning in ran.warnings)
 
 
+def test_a_run_in_which_next_to_nothing_was_placed_is_no_good_one(short_recording, run_slam):
+    folder = short_recording(40)
+    for image in sorted((folder / "rgb").iterdir())[2:]:
+        cv2.imwrite(str(image), np.zeros((240, 320, 3), np.uint8))
+    ran = run_slam(folder, *QUICK)
+    assert "only 2 of 40 frames could be placed" in ran.complaint
+    assert len(read_tum(ran.folder / "trajectory.txt")) == 2
+
+
 def test_help_is_quick_because_it_loads_nothing_heavy(tmp_path):
     script = (
         "import sys\n"

@@ -115,6 +115,13 @@ def test_images_without_partner_are_counted(make_folder: MakeFolder) -> None:
     assert "2 of 10 colour images have no depth image within 0.02 s" in sequence.warnings[0]
 
 
+def test_next_to_no_pairs_are_lists_of_two_clocks(make_folder: MakeFolder, fails: Fails) -> None:
+    folder = make_folder(30)
+    late = [f"{300 + k}.0 depth/{k}.png" for k in range(1, 30)]
+    edit(folder / "depth.txt", lambda lines: [*lines[:2], *late])
+    fails(folder, "of 30 colour and 30 depth images only 1 pair up within 0.02 s")
+
+
 def test_no_pair_says_the_smallest_gap_and_the_flag(make_folder: MakeFolder, fails: Fails) -> None:
     folder = make_folder()
     tight = InputConfig(max_time_difference_s=0.003)
