@@ -10,10 +10,9 @@ from pathlib import Path
 import tyro
 
 from placerec.commands import usage
-from placerec.commands.console import reporting
-from placerec.errors import LoopcloseError
+from placerec.commands.console import answer
+from placerec.errors import LoopcloseError, RecognizerError
 
-_BAD_USAGE = 2
 _DESCRIPTION = "Recognise places: train, check, measure and calibrate what tells them apart."
 
 
@@ -21,19 +20,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `placerec` and return its exit code: 0 good, 1 does not conform, 2 bad input."""
     # A class that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
+    typed = sys.argv[1:] if arguments is None else arguments
+    return answer("placerec", typed, _work, interrupted="interrupted before it was done")
+
+
+def _work(typed: list[str]) -> int:
     try:
-        with reporting(sys.argv[1:] if arguments is None else arguments) as typed:
-            return _parse(typed)()
+        return _parse(typed)()
     except LoopcloseError as error:
         # Loaded here: only a setting that is wrong needs the names of all.
         from placerec.training.config import TrainingConfig
 
         names = [each.name for each in fields(TrainingConfig)]
-        problem = usage.as_typed(str(error), names)
-    except KeyboardInterrupt:
-        problem = "interrupted before it was done"
-    print(f"placerec: {problem}", file=sys.stderr)
-    return _BAD_USAGE
+        raise RecognizerError(usage.as_typed(str(error), names)) from error
 
 
 def _parse(typed: list[str]) -> Callable[[], int]:

@@ -8,7 +8,7 @@ import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -19,14 +19,8 @@ import numpy as np
 import tyro
 
 from placerec.commands import usage
-from placerec.commands.console import note, progress_bar, reporting, say
-from placerec.errors import (
-    LoopcloseError,
-    cause_of,
-    deferred_interrupts,
-    replace_closed_streams,
-    terminations_interrupt,
-)
+from placerec.commands.console import answer, note, progress_bar, say
+from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.config import Config, load_config
 from slam.types import Frame, SlamError
@@ -137,25 +131,14 @@ def main(arguments: list[str] | None = None) -> int:
     """Run `run_slam` and return its exit code: 0 good, 2 something the user can mend."""
     # A recognizer that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
-    replace_closed_streams()
-    try:
-        with (
-            reporting(sys.argv[1:] if arguments is None else arguments) as asked,
-            terminations_interrupt(),
-        ):
-            told = parse(asked)
-            (_finish if told.finish else _run)(told)
-    except LoopcloseError as error:
-        problem = str(error)
-    except KeyboardInterrupt:
-        problem = "interrupted before anything was tracked"
-    except MemoryError as error:
-        problem = f"there is not enough memory: {cause_of(error)}"
-    else:
-        return 0
-    with suppress(OSError):  # nobody looks any more
-        print(f"run_slam: {problem}", file=sys.stderr)
-    return 2
+    typed = sys.argv[1:] if arguments is None else arguments
+    return answer("run_slam", typed, _work, interrupted="interrupted before anything was tracked")
+
+
+def _work(typed: list[str]) -> int:
+    told = parse(typed)
+    (_finish if told.finish else _run)(told)
+    return 0
 
 
 def _run(arguments: Arguments) -> None:

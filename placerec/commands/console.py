@@ -7,14 +7,22 @@ The packages themselves only log, to loggers below `slam` and `placerec`, and ne
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
 from tqdm import tqdm
 
-from placerec.errors import RecognizerError, printable
+from placerec.errors import (
+    LoopcloseError,
+    RecognizerError,
+    cause_of,
+    printable,
+    replace_closed_streams,
+    terminations_interrupt,
+)
 
+_BAD_INPUT = 2
 _QUIET, _VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
 _OURS = ("slam", "placerec")
 _LINES = 10  # of progress, where they are asked for and no bar can be drawn
@@ -22,6 +30,34 @@ _LINES = 10  # of progress, where they are asked for and no bar can be drawn
 _LEVELS_IN_C = ("OPENCV_LOG_LEVEL", "TORCH_CPP_LOG_LEVEL")
 # Its level says how much: what the commands tell by themselves is INFO.
 _log = logging.getLogger(__name__)
+
+
+def answer(
+    prog: str, typed: Sequence[str], work: Callable[[list[str]], int], interrupted: str
+) -> int:
+    """Do what was typed, and return the exit code: that of the work, or 2 and one line on stderr.
+
+    SIGTERM and SIGHUP do what Ctrl-C does.
+
+    Args:
+        prog: the command's name.
+        typed: what was typed after it.
+        work: does what is left of that.
+        interrupted: what there is to say after Ctrl-C.
+    """
+    replace_closed_streams()
+    try:
+        with reporting(typed) as asked, terminations_interrupt():
+            return work(asked)
+    except LoopcloseError as error:
+        problem = str(error)
+    except KeyboardInterrupt:
+        problem = interrupted
+    except MemoryError as error:
+        problem = f"there is not enough memory: {cause_of(error)}"
+    with suppress(OSError):  # nobody looks any more
+        print(f"{prog}: {problem}", file=sys.stderr)
+    return _BAD_INPUT
 
 
 @contextmanager
