@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import asdict, dataclass, field
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -18,29 +18,23 @@ from placerec.files import read_bytes
 from slam.evaluation.trajectory import tum_lines
 from slam.output.claimed_folder import JOURNAL
 from slam.output.decision import Decision
+from slam.output.journal_lines import Line, attempt_line, attempt_of, frame_line, frame_of
 from slam.output.ledger import ledger_line
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame, preview
 from slam.types import (
     Camera,
-    Features,
     FloatArray,
     Frame,
     Keyframe,
-    Link,
     LoopAttempt,
     Rejection,
-    RejectionReason,
-    RelativePose,
     SlamError,
     Trajectory,
-    Verification,
 )
 
 _EVERY_S = 2.0
 _MOST_BYTES = 1 << 32  # of a journal: a run of many hours
-_UPPER = np.triu_indices(6)
-_Line = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -136,16 +130,16 @@ class JournalWriter:
             self.failure = error
 
     def _write(self) -> None:
-        lines: list[_Line] = []
+        lines: list[Line] = []
         poses: list[tuple[float, FloatArray]] = []
         while self._news:
             timestamp_s, tracked = self._news.popleft()
             if tracked is None:
-                lines.append({"session": len(lines)})
+                lines.append({"session": True})
             elif isinstance(tracked, Rejection):
                 lines.append({"lost": timestamp_s})
             else:
-                lines.append({"frame": timestamp_s, **_of_frame(tracked)})
+                lines.append({"frame": timestamp_s, **frame_line(tracked)})
                 if tracked.new_keyframe:
                     self._keyframes[tracked.new_keyframe.id] = tracked.new_keyframe
                 T_world_odom = self._slam.correction.T_world_odom.get(tracked.segment)
@@ -158,7 +152,7 @@ class JournalWriter:
             )
         )
         self._attempts += len(attempts)
-        lines += [{"loop": _of_attempt(each)} for each in attempts]
+        lines += [{"loop": attempt_line(each)} for each in attempts]
         loops = [
             ledger_line(self._decision(each), self._header.min_similarity) for each in attempts
         ]
@@ -209,132 +203,18 @@ def read_journal(folder: Path) -> Journal:
     return journal
 
 
-def _take(line: _Line, journal: Journal, image: Frame) -> None:
+def _take(line: Line, journal: Journal, image: Frame) -> None:
     if "session" in line:
         journal.session_starts.add(len(journal.frames))
     elif "lost" in line:
         journal.frames.append((float(line["lost"]), None))
     elif "frame" in line:
-        journal.frames.append((float(line["frame"]), _to_frame(line, image)))
+        journal.frames.append((float(line["frame"]), frame_of(line, image)))
     else:
-        attempt = _to_attempt(line["loop"])
+        attempt = attempt_of(line["loop"])
         journal.attempts.setdefault(attempt.query_id, []).append(attempt)
 
 
 def _trajectory(poses: list[tuple[float, FloatArray]]) -> Trajectory:
     stamps_s = np.array([timestamp_s for timestamp_s, _ in poses])
     return Trajectory(stamps_s, np.array([T for _, T in poses]).reshape(-1, 4, 4))
-
-
-def _numbers(T: FloatArray) -> list[float]:
-    numbers: list[float] = T[:3].ravel().tolist()
-    return numbers
-
-
-def _matrix(numbers: list[float]) -> FloatArray:
-    return np.vstack([np.reshape(numbers, (3, 4)), [0.0, 0.0, 0.0, 1.0]])
-
-
-def _of_motion(motion: RelativePose) -> list[list[float]]:
-    return [_numbers(motion.T_ref_query), motion.information[_UPPER].tolist()]
-
-
-def _to_motion(numbers: list[list[float]]) -> RelativePose:
-    information = np.zeros((6, 6))
-    information[_UPPER] = numbers[1]
-    information.T[_UPPER] = numbers[1]
-    return RelativePose(_matrix(numbers[0]), information)
-
-
-def _of_frame(tracked: TrackedFrame) -> _Line:
-    line: _Line = {
-        "against": tracked.keyframe_id,
-        "segment": tracked.segment,
-        "T_kf_cam": _numbers(tracked.T_kf_cam),
-        "T_odom_cam": _numbers(tracked.T_odom_cam),
-    }
-    if keyframe := tracked.new_keyframe:
-        links = [[each.ref_id, each.query_id, *_of_motion(each.motion)] for each in tracked.links]
-        line |= {
-            "keyframe": [keyframe.timestamp_s, _numbers(keyframe.T_odom_cam)],
-            "turning_rad_s": keyframe.turning_rad_s,
-            "links": links,
-            "moved": [[k, _numbers(T)] for k, T in tracked.moved.items()],
-        }
-    return line
-
-
-def _to_frame(line: _Line, image: Frame) -> TrackedFrame:
-    keyframe_id, segment = int(line["against"]), int(line["segment"])
-    T_kf_cam, T_odom_cam = _matrix(line["T_kf_cam"]), _matrix(line["T_odom_cam"])
-    if "keyframe" not in line:
-        return TrackedFrame(keyframe_id, T_kf_cam, T_odom_cam, segment)
-    timestamp_s, T = line["keyframe"]
-    none = np.zeros((0, 2))
-    features = Features(
-        none,
-        none,
-        np.zeros(0, np.int64),
-        np.zeros((0, 32), np.uint8),
-        np.zeros(0),
-        np.zeros((0, 3)),
-    )
-    keyframe = Keyframe(
-        keyframe_id,
-        float(timestamp_s),
-        _matrix(T),
-        features,
-        image,
-        float(line["turning_rad_s"]),
-        segment,
-    )
-    links = tuple(Link(ref, query, _to_motion(motion)) for ref, query, *motion in line["links"])
-    moved = {k: _matrix(T) for k, T in line["moved"]}
-    return TrackedFrame(keyframe_id, T_kf_cam, T_odom_cam, segment, keyframe, links, moved)
-
-
-def _of_attempt(attempt: LoopAttempt) -> _Line:
-    line: _Line = {
-        "query": attempt.query_id,
-        "match": attempt.match_id,
-        "similarity": attempt.similarity,
-    }
-    if rejection := attempt.rejection:
-        line["rejection"] = [rejection.reason.name, rejection.measured, rejection.needed]
-    if attempt.motion:
-        line["motion"] = _of_motion(attempt.motion)
-    if seen := attempt.verification:
-        line["is_inlier"] = "".join(str(int(each)) for each in seen.inlier_mask)
-        if not rejection:
-            line["points_m"] = np.round(seen.points_ref_m[seen.inlier_mask], 6).tolist()
-    return {key: _plain(value) for key, value in line.items()}
-
-
-def _plain(value: Any) -> Any:
-    """Return numbers of numpy as Python's, which alone can be written."""
-    return (
-        [_plain(each) for each in value]
-        if isinstance(value, list)
-        else (value.item() if isinstance(value, np.generic) else value)
-    )
-
-
-def _to_attempt(line: _Line) -> LoopAttempt:
-    motion = _to_motion(line["motion"]) if "motion" in line else None
-    rejection = None
-    if "rejection" in line:
-        reason, measured, needed = line["rejection"]
-        rejection = Rejection(RejectionReason[reason], measured, needed)
-    outcome = rejection or motion
-    if outcome is None:
-        raise KeyError("rejection")
-    verification = None
-    if "is_inlier" in line:
-        mask = np.array([each == "1" for each in line["is_inlier"]], bool)
-        points_m = np.zeros((len(mask), 3))
-        if "points_m" in line:
-            points_m[mask] = line["points_m"]
-        verification = Verification(motion or outcome, np.zeros((len(mask), 4)), mask, points_m)
-    return LoopAttempt(
-        int(line["query"]), int(line["match"]), float(line["similarity"]), verification, outcome
-    )

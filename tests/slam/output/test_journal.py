@@ -41,6 +41,7 @@ def test_frames_and_keyframes_are_read_back_to_the_last_bit(kept):
     assert [timestamp_s for timestamp_s, _ in read.frames] == [time_s for time_s, _ in found]
     for (_, now), (_, then) in zip(read.frames, found, strict=True):
         assert (now.keyframe_id, now.segment) == (then.keyframe_id, then.segment)
+        assert now.covered == then.covered
         assert np.array_equal(now.T_kf_cam, then.T_kf_cam)
         assert np.array_equal(now.T_odom_cam, then.T_odom_cam)
         assert (now.new_keyframe is None) == (then.new_keyframe is None)
