@@ -15,13 +15,13 @@ from slam.evaluation.trajectory import align, associate
 from slam.evaluation.truth_gaps import without_gaps
 from slam.external_odometry.calibration import Calibration, calibrate
 from slam.external_odometry.conventions import Convention
+from slam.external_odometry.hand_eye import seven_numbers
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
 # Of the estimate is looked at so many steps, of no more than so long, or pieces of so many.
 _STEPS, _STEP_S, _PIECES, _PIECE = 100, 0.2, 10, 50
-# What is smaller is not worth a word, and less than so many standard deviations may be chance.
-_ROTATION_DEG, _ARM_M, _OFFSET_S, _SIGMAS = 2.0, 0.03, 0.02, 4.0
+_OFFSET_S = 0.02  # of a clock that is worth a word
 # Standard deviations with which a body is known well enough: of turning, and of the way that the
 # camera makes on its arm when it turns, by no more than so much.
 _KNOWN_DEG, _KNOWN_M, _MOST_TURNED = 1.0, 0.02, 2.0
@@ -30,9 +30,8 @@ _KNOWN_DEG, _KNOWN_M, _MOST_TURNED = 1.0, 0.02, 2.0
 _WELL, _VAGUE, _CLEARLY, _ONE_BODY = 0.1, 0.3, 0.75, 0.9
 _UNITS = ((0.001, 1.3, "millimetres"), (0.01, 1.3, "centimetres"), (0.0254, 1.05, "inches"))
 _SCALE, _SCALE_OF_FEW = 0.03, 2.0  # of a path that is too long or short; by how many positions
-_HALF = (
-    0.5  # of what is left where a path is aligned: a factor or a mirror that leaves less is real
-)
+# Of what is left where a path is aligned: a factor or a mirror that leaves less is real.
+_HALF = 0.5
 _POSITIONS_ALONE = "the ground truth has positions alone, no orientations"
 _UNKNOWN_BODY = "the ground truth is of a body on which the camera's place is not known well"
 _LEFT_HANDED = "its axes are mirrored, those of a left-handed world"
@@ -160,8 +159,7 @@ def _as_found(
     T_base_cam[:3, 3] *= unit / best.scale  # the truth's metres, of which the images' may differ
     turned_deg = float(np.degrees(se3.rotation_angle(T_base_cam)))
     arm_m = float(se3.translation_norm(T_base_cam))
-    is_of_another = turned_deg > max(_ROTATION_DEG, _SIGMAS * sigma_deg)
-    is_of_another |= arm_m > max(_ARM_M, _SIGMAS * sigma_m)
+    is_of_another = found.hand_eye.tells_apart(T_base_cam)
     is_known = sigma_deg <= _KNOWN_DEG and sigma_m * turned <= _KNOWN_M
     if not is_of_another and not is_known and found.misfit < _HALF * before:
         return CameraTruth(known, (), _UNKNOWN_BODY)
@@ -177,11 +175,10 @@ def _as_found(
         late = "later" if offset_s > 0.0 else "earlier"
         words.append(f"its clock is {abs(offset_s):.3f} s {late} than the images'")
     if is_of_another:
-        numbers = np.array([*T_base_cam[:3, 3], *se3.to_quaternion(T_base_cam[:3, :3])]) + 0.0
         words.append(
             f"it is of a body on which the camera is turned by {turned_deg:.1f} deg and"
             f" {100.0 * arm_m:.1f} cm away (known to {sigma_deg:.1f} deg and {100.0 * sigma_m:.1f}"
-            f" cm; tx ty tz qx qy qz qw: {' '.join(f'{value:.4f}' for value in numbers)})"
+            f" cm; tx ty tz qx qy qz qw: {seven_numbers(T_base_cam)})"
         )
     if not words or found.misfit > _CLEARLY * before:
         return CameraTruth(known)

@@ -9,11 +9,12 @@ import numpy as np
 from slam.config import OdometryConfig
 from slam.external_odometry.calibration import Calibration
 from slam.external_odometry.conventions import Convention
+from slam.external_odometry.hand_eye import seven_numbers
 from slam.external_odometry.trust import Trust, Verdict
 from slam.geometry import se3
 
 # What is smaller is not worth a word, and less than so many standard deviations may be chance.
-_ROTATION_DEG, _ARM_M, _OFFSET_S, _SCALE = 2.0, 0.03, 0.02, 0.01
+_OFFSET_S, _SCALE = 0.02, 0.01
 _SIGMAS = 4.0
 # Of the motions left under the best reading: more, and frame, clock and unit cannot be told; more
 # still, and the poses have nothing to do with the images. Those of other recordings leave 1.
@@ -146,17 +147,14 @@ def _direction(config: OdometryConfig, found: Calibration, asked: Convention) ->
 def _frame(config: OdometryConfig, found: Calibration, asked: Convention) -> list[str]:
     T, known = found.convention.T_base_cam, found.hand_eye
     off = se3.inverse(asked.T_base_cam) @ T
-    turned_deg, moved_m = np.degrees(se3.rotation_angle(off)), float(se3.translation_norm(off))
     sigma_deg = np.degrees(known.rotation_sigma_rad)
-    is_turned = turned_deg > max(_ROTATION_DEG, _SIGMAS * sigma_deg)
-    if not is_turned and moved_m < max(_ARM_M, _SIGMAS * known.arm_sigma_m):
+    if not known.tells_apart(off):
         return []
-    numbers = np.array([*T[:3, 3], *se3.to_quaternion(T[:3, :3])]) + 0.0
-    flag = " ".join(f"{value:.4f}" for value in numbers)
     done = "it was applied" if config.T_base_cam == "auto" else "or auto"
     other = "the camera's optical one" if config.T_base_cam in (None, "auto") else "asked for"
     return [
-        f"the odometry's poses are of another frame than {other}: --odometry.T-base-cam {flag}"
+        f"the odometry's poses are of another frame than {other}: --odometry.T-base-cam"
+        f" {seven_numbers(T)}"
         f" (known to {sigma_deg:.1f} deg and {100.0 * known.arm_sigma_m:.1f} cm); {done}"
     ]
 

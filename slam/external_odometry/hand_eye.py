@@ -16,6 +16,8 @@ _ROUNDS = 40
 _HINT = 0.1  # weight of translations before the lever arm is known
 # A camera that goes round a circle and one that turns at the end of a long arm move alike.
 _USUAL_ARM_M = 0.5
+# Less is not worth a word, and less than so many standard deviations may be chance.
+_WORTH_A_WORD_DEG, _WORTH_A_WORD_M, _SIGMAS = 2.0, 0.03, 4.0
 _NEXT_TO_NOTHING = 1e-6  # of information
 
 
@@ -40,6 +42,21 @@ class HandEye:
     rotation_sigma_rad: float
     arm_sigma_m: float
     scale_sigma: float
+
+    def tells_apart(self, T_frame_frame: FloatArray) -> bool:
+        """Whether a (4, 4) motion between two frames is worth a word, and more than chance."""
+        turned_deg = np.degrees(se3.rotation_angle(T_frame_frame))
+        moved_m = se3.translation_norm(T_frame_frame)
+        is_turned = turned_deg > max(
+            _WORTH_A_WORD_DEG, _SIGMAS * np.degrees(self.rotation_sigma_rad)
+        )
+        return bool(is_turned or moved_m > max(_WORTH_A_WORD_M, _SIGMAS * self.arm_sigma_m))
+
+
+def seven_numbers(T: FloatArray) -> str:
+    """Return a (4, 4) transform as it is typed and told: tx ty tz qx qy qz qw."""
+    numbers = np.array([*T[:3, 3], *se3.to_quaternion(T[:3, :3])]) + 0.0
+    return " ".join(f"{value:.4f}" for value in numbers)
 
 
 def solve_hand_eye(
