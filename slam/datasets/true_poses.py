@@ -50,11 +50,9 @@ def known_poses(poses: Trajectory, file: Path, warnings: list[str]) -> Trajector
         f"{int((~is_known).sum())} of {len(poses)} poses of {file.name} hold no numbers that a"
         " place can have; they are gaps in the ground truth"
     )
-    return (
-        Trajectory(poses.timestamps_s[is_known], poses.T_world_cam[is_known])
-        if (is_known.any())
-        else None
-    )
+    if not is_known.any():
+        return None
+    return Trajectory(poses.timestamps_s[is_known], poses.T_world_cam[is_known])
 
 
 def read_pose_files(files: Iterable[tuple[float, Path]], warnings: list[str]) -> Trajectory | None:

@@ -24,7 +24,7 @@ from slam.types import (
     RejectionReason,
 )
 
-_CELLS = 8.0
+_CELLS = 8.0  # across the image, when it is asked how much of it features cover
 _RADIUS_PX = 4.0  # how far from its place a landmark is looked for once the pose is known
 
 
