@@ -188,7 +188,10 @@ def _stray_scanner() -> Files:
     np.save(array, _DEPTH)
     files["depth/000000.npy"] = array.getvalue()
     del files["depth/000000.png"]
-    row = lambda i: f"{i / 30:.5f}, {i:06d}, {', '.join(_pose(i).split())}"  # noqa: E731
+
+    def row(i: int) -> str:
+        return f"{i / 30:.5f}, {i:06d}, {', '.join(_pose(i).split())}"
+
     return files | {
         "odometry.csv": _lines(row, "timestamp, frame, x, y, z, qx, qy, qz, qw\n"),
         "camera_matrix.csv": b"15, 0, 8\n0, 15, 6\n0, 0, 1\n",
