@@ -13,11 +13,20 @@ FRAMES_PER_S = 7.5
 
 
 @pytest.fixture(autouse=True, scope="session")
-def ctrl_c_interrupts():
-    """Let Ctrl-C interrupt the tests also where they run in the background, which ignores it."""
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+def signals_end_processes():
+    """Let signals do what they do by default where the tests were started to ignore some of them.
+
+    Jobs in the background ignore Ctrl-C, and those of nohup SIGHUP.
+    """
+    usual = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    before = {each: signal.signal(each, handler) for each, handler in usual.items()}
     yield
-    signal.signal(signal.SIGINT, usual)
+    for each, handler in before.items():
+        signal.signal(each, handler)
 
 
 @pytest.fixture(scope="session")
