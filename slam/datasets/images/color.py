@@ -24,7 +24,8 @@ def read_color(path: Path, bits: int = 16) -> NDArray[np.uint8] | BrokenImage:
         return image
     if image.dtype not in (np.uint8, np.uint16):
         return BrokenImage(path, f"colours of {image.dtype}, not of 8 or 16 bits")
-    return np.asarray(cv2.cvtColor(in_eight_bits(image, bits), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    image = in_eight_bits(image, bits)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image), dtype=np.uint8)
 
 
 def color_bits(paths: Sequence[Path]) -> int:
