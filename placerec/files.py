@@ -154,9 +154,10 @@ def read_bytes(
     what = what or file.name
     try:
         with file.open("rb") as stream:
-            content = stream.read(os.fstat(stream.fileno()).st_size)
+            size = os.fstat(stream.fileno()).st_size
+            content = stream.read(size + 1)
             # What the system makes up as it is read says that it has no size.
-            while len(content) <= most_bytes and (more := stream.read(_CHUNK_BYTES)):
+            while size < len(content) <= most_bytes and (more := stream.read(_CHUNK_BYTES)):
                 content += more
     except OSError as error:
         raise kind(f"cannot read {what}: {error.strerror}: {file}") from error

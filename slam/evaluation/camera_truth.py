@@ -9,7 +9,6 @@ has no say in where the path leads.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import correlate
 
 from slam.evaluation.trajectory import align, associate
 from slam.evaluation.truth_gaps import without_gaps
@@ -201,6 +200,8 @@ def _unit(scale: float) -> tuple[float, str]:
 
 def _clock(estimate: Trajectory, known: Trajectory) -> float | None:
     """Return how much later than the images' the truth's clock is, by how fast both turn."""
+    from scipy.signal import correlate  # takes half a second to load, and few truths need it
+
     (start_s, turning), (other_s, other) = _turning(estimate), _turning(known)
     shortest = min(len(turning), len(other))
     if shortest < _SHORTEST_S * _RATE_HZ:

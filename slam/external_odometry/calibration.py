@@ -29,6 +29,9 @@ _WELL, _CLEARLY = 0.15, 0.6
 _ABOUT_AS_WELL, _ABOUT = 1.25, 0.005  # what a simpler reading may leave more
 _SAME_CLOCK = 1.15  # and the clock that was asked for
 _KNOWN = 10.0  # standard deviations that a scale is above zero
+# A scale is another than the one asked for, however well that fits, if it is so far from it, as a
+# share of it, and by so many standard deviations, as noise makes scales too small.
+_OTHER, _OTHER_SIGMAS = 0.03, 6.0
 _MOST_OFF_RAD = np.radians(10.0)
 
 
@@ -40,7 +43,8 @@ class Calibration:
         convention: the reading under which they do.
         hand_eye: how well; its frame and scale are the convention's.
         misfit_before: what is left of the motions under the reading that was asked for.
-        ends: how well the first and the last quarter of the run do, each with a scale of its own.
+        ends: how well the first and the last quarter of the run do, each with a scale of its own;
+            these and the sides are told by `with_parts`.
         sides: the two parts of the run that do best, each with a frame and a scale of its own.
             Either is empty where one of the two is too short to be compared.
         misfit_of_sides: what is left of the motions of the worse side under the one frame of the
@@ -108,7 +112,8 @@ def calibrate(
     """Return the reading of given poses that fits the images; None where too little is known.
 
     The visual trajectories are the camera's, each in a frame of its own. What was asked for is
-    returned, whole or in part, unless something else fits clearly better.
+    returned, whole or in part, unless something else fits clearly better. What parts of the run
+    say each on its own is left to `with_parts`.
     """
     motions = _Motions.of(visual)
     if len(motions.start_s) < _MIN_MOTIONS or len(given) < _MIN_MOTIONS:
@@ -129,7 +134,15 @@ def calibrate(
     best = min(fits, key=lambda each: each.misfit, default=None)
     if best and found[0] and best.misfit > _CLEARLY * fits[0].misfit:
         best = fits[0]
-    return best and _with_sides(_with_ends(best, motions, given), motions, given, asked)
+    return best
+
+
+def with_parts(
+    found: Calibration, visual: Sequence[Trajectory], given: Trajectory, asked: Convention
+) -> Calibration:
+    """Return what was found with what parts of the run say each on its own: `ends` and `sides`."""
+    motions = _Motions.of(visual)
+    return _with_sides(_with_ends(found, motions, given), motions, given, asked)
 
 
 def _with_ends(found: Calibration, motions: _Motions, given: Trajectory) -> Calibration:
@@ -175,9 +188,11 @@ def _fit(motions: _Motions, given: Trajectory, reading: Convention) -> Calibrati
     pair = _compared(motions, body, offset_s)
     if pair is None:
         return None
-    frames, units = (reading.T_base_cam, None), (reading.scale, None)
-    solutions = [solve_hand_eye(*pair, T, scale) for T in frames for scale in units]
-    solutions = [each for each in solutions if each.scale > _KNOWN * each.scale_sigma]
+    solutions = []
+    for T_base_cam in (reading.T_base_cam, None):
+        in_unit, free = (solve_hand_eye(*pair, T_base_cam, unit) for unit in (reading.scale, None))
+        solutions += [free] if _is_another_scale(free, reading.scale) else [in_unit, free]
+    solutions = [each for each in solutions if _is_known(each)]
     least = min((each.misfit for each in solutions), default=np.inf)
     for solution in solutions:  # the simplest come first
         if solution.misfit <= _ABOUT_AS_WELL * least + _ABOUT:
@@ -186,6 +201,16 @@ def _fit(motions: _Motions, given: Trajectory, reading: Convention) -> Calibrati
             found = replace(reading, T_base_cam=solution.T_base_cam, scale=solution.scale)
             return Calibration(replace(found, time_offset_s=offset_s), solution, np.inf)
     return None
+
+
+def _is_known(found: HandEye) -> bool:
+    return found.scale > _KNOWN * found.scale_sigma
+
+
+def _is_another_scale(found: HandEye, asked: float) -> bool:
+    """Whether a scale that was solved for is certainly not the one that was asked for."""
+    by_chance = max(_OTHER * asked, _OTHER_SIGMAS * found.scale_sigma)
+    return _is_known(found) and abs(found.scale - asked) > by_chance
 
 
 def _fits_as_asked(motions: _Motions, body: Trajectory, asked_s: float, solution: HandEye) -> bool:

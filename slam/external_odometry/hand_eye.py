@@ -12,7 +12,7 @@ import numpy as np
 from slam.geometry import se3
 from slam.types import FloatArray
 
-_ROUNDS = 40
+_ROUNDS, _ARRIVED = 40, 1e-9
 _HINT = 0.1  # weight of translations before the lever arm is known
 # A camera that goes round a circle and one that turns at the end of a long arm move alike.
 _USUAL_ARM_M = 0.5
@@ -89,6 +89,8 @@ def solve_hand_eye(
         covariance[np.ix_(free, free)] = inverse
         R = R @ se3.exp(np.concatenate([step[:3], np.zeros(3)]))[:3, :3]
         arm, factor = arm + step[3:6], factor + float(step[6])
+        if np.abs(step).max() < _ARRIVED:
+            break
     T = se3.from_rotation_translation(R, arm)
     sigmas = np.sqrt(covariance.diagonal())
     return HandEye(

@@ -8,7 +8,7 @@ import numpy as np
 
 from slam.config import OdometryConfig
 from slam.external_odometry.advice import Reading, asked_convention, judgement, read
-from slam.external_odometry.calibration import calibrate
+from slam.external_odometry.calibration import calibrate, with_parts
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.given_poses import GivenPoses, poses_between
 from slam.external_odometry.trust import Trust
@@ -124,19 +124,21 @@ class ExternalOdometry:
         """
         if not self:
             return {}
-        found = calibrate(tracked, self._given.trajectory, self._asked)
+        given, asked = self._given.trajectory, self._asked
+        if found := calibrate(tracked, given, asked):
+            found = with_parts(found, tracked, given, asked)
         self._reading = read(self._config, found)
         self._stamps_s = dict(enumerate(keyframe_s.tolist()))
         if not self._reading.fits:
             return {}
-        given, start_s = {}, -np.inf
+        keyframes, start_s = {}, -np.inf
         offset_s = self._reading.convention.time_offset_s
         for k, T in enumerate(poses_between(self.camera_poses, keyframe_s)):
             if np.isfinite(T[0, 0]):
                 end_s = float(keyframe_s[k])
-                given[k] = self._keyframe(start_s + offset_s, end_s + offset_s, T)
+                keyframes[k] = self._keyframe(start_s + offset_s, end_s + offset_s, T)
                 start_s = end_s
-        return given
+        return keyframes
 
     @property
     def camera_poses(self) -> Trajectory:

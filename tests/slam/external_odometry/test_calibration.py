@@ -6,7 +6,7 @@ import pytest
 
 from slam.config import OdometryConfig
 from slam.external_odometry.advice import read
-from slam.external_odometry.calibration import calibrate
+from slam.external_odometry.calibration import calibrate, with_parts
 from slam.external_odometry.conventions import Convention
 from slam.geometry import se3
 from slam.types import Trajectory
@@ -24,6 +24,11 @@ def tracked(walk_at, drifting):
 def camera(walk_at, drifting):
     """Return where an odometry has it, with another drift, between other times and for longer."""
     return drifting(walk_at(np.arange(-25, 1030) / 50.0 + 0.007), seed=7)
+
+
+def in_parts(tracked, given):
+    """Return the calibration, and what parts of the run say each on its own."""
+    return with_parts(calibrate([tracked], given, AS_IT_IS), [tracked], given, AS_IT_IS)
 
 
 def off(found, expected):
@@ -87,6 +92,25 @@ def test_the_unit_is_found_where_the_frame_is_right(tracked, camera):
     np.testing.assert_array_equal(found.convention.T_base_cam, np.eye(4))
 
 
+@pytest.mark.parametrize("scale", [1.05, 0.95])
+@pytest.mark.parametrize("noise_m", [5e-4, 2e-3])
+def test_another_unit_is_named_however_well_the_poses_fit(
+    tracked, walk_at, drifting, scale, noise_m
+):
+    camera = drifting(walk_at(np.arange(-25, 1030) / 50.0 + 0.007), m=noise_m, seed=7)
+    found = calibrate([tracked], Convention(scale=scale).as_given(camera), AS_IT_IS)
+    assert found.convention.scale == pytest.approx(scale, abs=0.01)
+    assert "too" in read(OdometryConfig(), found).sentences[0]
+
+
+@pytest.mark.parametrize("noise_m", [5e-3, 2e-2, 5e-2])
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_makes_no_other_unit(tracked, walk_at, drifting, noise_m, seed):
+    camera = drifting(walk_at(np.arange(-25, 1030) / 50.0 + 0.007), m=noise_m, seed=seed)
+    found = calibrate([tracked], camera, AS_IT_IS)
+    assert not any("--odometry.scale" in each for each in read(OdometryConfig(), found).sentences)
+
+
 def test_all_is_found_at_once_also_from_parts_that_are_each_in_a_frame_of_its_own(
     tracked, camera, T_base_cam
 ):
@@ -148,7 +172,7 @@ def test_poses_of_two_bodies_do_well_on_either_side_of_a_split_alone(
 ):
     T, change = camera.T_world_cam.copy(), int(share * len(camera))
     T[change:] = T[change:] @ se3.inverse(T_base_cam)
-    found = calibrate([tracked], Trajectory(camera.timestamps_s, T), AS_IT_IS)
+    found = in_parts(tracked, Trajectory(camera.timestamps_s, T))
     early, late = found.sides
     assert max(early.misfit, late.misfit) < 0.15
     apart = se3.inverse(early.T_base_cam) @ late.T_base_cam
@@ -166,14 +190,14 @@ def test_a_few_wrong_steps_do_not_make_poses_those_of_two_bodies(tracked, camera
     off_by = np.array([outlier, 0.0, outlier, 0.0, 3.0 * outlier, 0.0])
     steps[wrong] = steps[wrong] @ se3.exp(off_by)
     T = np.array(list(accumulate(steps, np.matmul, initial=camera.T_world_cam[0])))
-    found = calibrate([tracked], Trajectory(camera.timestamps_s, T), AS_IT_IS)
+    found = in_parts(tracked, Trajectory(camera.timestamps_s, T))
     assert found.sides
     assert found.misfit_of_sides < 0.3
     assert read(OdometryConfig(), found).fits
 
 
 def test_the_sides_of_one_body_agree(tracked, camera):
-    early, late = calibrate([tracked], camera, AS_IT_IS).sides
+    early, late = in_parts(tracked, camera).sides
     apart = se3.inverse(early.T_base_cam) @ late.T_base_cam
     assert np.degrees(se3.rotation_angle(apart)) < 2.0
 
@@ -183,7 +207,7 @@ def test_a_scale_that_drifts_is_seen_at_the_ends(tracked, camera):
     steps = se3.inverse(T[:-1]) @ T[1:]
     steps[:, :3, 3] *= np.linspace(0.9, 1.1, len(steps))[:, None]
     poses = np.array(list(accumulate(steps, np.matmul, initial=T[0])))
-    found = calibrate([tracked], Trajectory(camera.timestamps_s, poses), AS_IT_IS)
+    found = in_parts(tracked, Trajectory(camera.timestamps_s, poses))
     scales = [each.scale for each in found.ends]
     np.testing.assert_allclose(scales, [1.0 / 0.925, 1.0 / 1.075], rtol=0.02)
 
@@ -191,6 +215,6 @@ def test_a_scale_that_drifts_is_seen_at_the_ends(tracked, camera):
 def test_nothing_is_said_of_the_ends_where_the_odometry_has_poses_of_one_alone(tracked, camera):
     half = len(camera) // 2
     later = Trajectory(camera.timestamps_s[half:], camera.T_world_cam[half:])
-    found = calibrate([tracked], later, AS_IT_IS)
+    found = in_parts(tracked, later)
     assert found.ends == ()
     assert found.hand_eye.misfit < 0.03
