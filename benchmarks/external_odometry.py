@@ -115,9 +115,15 @@ def own(sequence: Sequence) -> Trajectory:
     return run(sequence, None, {}).odometry
 
 
+def own_of_base(sequence: Sequence) -> Trajectory:
+    """Return the same as poses of the body that the camera would be on."""
+    return Convention(T_base_cam=T_BASE_CAM).as_given(own(sequence))
+
+
 MADE_UP = {
     "truth": Row(truth),
     "own odometry": Row(own),
+    "own odometry of base_link, auto": Row(own_of_base, {"T_base_cam": "auto"}),
     "every second pose": Row(
         lambda s: Trajectory(*(each[::2] for each in vars(truth(s)).values()))
     ),

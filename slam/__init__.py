@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from slam.datasets import open_sequence as open_sequence
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
-    from slam.loops.atlas import Correction as Correction
+    from slam.loops.correction import Correction as Correction
     from slam.output.run_folder import write_run as write_run
     from slam.result import SlamResult as SlamResult
     from slam.system import Slam as Slam
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Camera": "slam.types",
     "Config": "slam.config",
-    "Correction": "slam.loops.atlas",
+    "Correction": "slam.loops.correction",
     "Frame": "slam.types",
     "Keyframe": "slam.types",
     "LoopAttempt": "slam.types",

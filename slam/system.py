@@ -16,8 +16,9 @@ from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.odometry import ExternalOdometry
 from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
-from slam.loops.atlas import Correction, odometry_frames
+from slam.loops.atlas import odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
+from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult

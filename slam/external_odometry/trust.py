@@ -130,8 +130,13 @@ def _bad_stretches(motions: Sequence[Link], path: GivenPath) -> tuple[int, ...]:
     is_short = (lags > 1) & (lags <= _STRETCH)
     doubted = []
     for row in range(1, len(path.ids)):
-        over = squared[is_short & (ends[:, 0] < row) & (row <= ends[:, 1])]
-        if len(over) >= _MIN_OVER and np.sort(over)[(len(over) - 1) // 2] > _BAD_STRETCH:
+        is_over = is_short & (ends[:, 0] < row) & (row <= ends[:, 1])
+        over = squared[is_over]
+        # Motions of one image are wrong together: it takes more than one at either end.
+        is_of_one = any(len(np.unique(each)) < 2 for each in ends[is_over].T)
+        if len(over) < _MIN_OVER or is_of_one:
+            continue
+        if np.sort(over)[(len(over) - 1) // 2] > _BAD_STRETCH:
             doubted.append(int(path.ids[row]))
     return tuple(doubted)
 

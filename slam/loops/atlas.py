@@ -10,30 +10,10 @@ import numpy as np
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Trust, Verdict, judge
 from slam.geometry import se3
+from slam.loops.correction import Correction
 from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What loops made of the keyframes at some moment of a run; it never changes.
-
-    Attributes:
-        version: how many corrections came before it.
-        newest_id: the newest keyframe that it knows of, -1 for none.
-        T_world_kf: (4, 4) by keyframe id; those are missing that are not joined to the largest part
-            of the map.
-        T_world_odom: (4, 4) by segment, what corrects the odometry where it is now.
-        T_world_given: (4, 4), what corrects an odometry from elsewhere; None where there is none,
-            or the images contradict it, and then tracking is followed.
-    """
-
-    version: int
-    newest_id: int
-    T_world_kf: Mapping[int, FloatArray]
-    T_world_odom: Mapping[int, FloatArray]
-    T_world_given: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -56,8 +36,8 @@ class LargestSubmap:
     trust: Trust | None
     T_given_kf: dict[int, FloatArray]
 
-    def correction(self, version: int, newest_id: int, solution: GraphSolution) -> Correction:
-        """Return what a solution of the graph says of the odometry."""
+    def correction(self, before: Correction, newest_id: int, solution: GraphSolution) -> Correction:
+        """Return what a solution of the graph says of the odometry, after the one before."""
         newest_of = {self.segment_of[k]: k for k in sorted(solution.T_world_kf)}
         T_world_odom = {
             segment: solution.T_world_kf[k] @ se3.inverse(self.T_odom_kf[k])
@@ -69,7 +49,9 @@ class LargestSubmap:
             is_untried = self.trust.verdict is Verdict.UNKNOWN and not self.graph.loops
             k = (min if is_untried else max)(self.T_given_kf)
             T_world_given = solution.T_world_kf[k] @ se3.inverse(self.T_given_kf[k])
-        return Correction(version, newest_id, solution.T_world_kf, T_world_odom, T_world_given)
+        version, T_world_kf = before.version + 1, solution.T_world_kf
+        found = Correction(version, newest_id, T_world_kf, T_world_odom, T_world_given)
+        return found.after(before, self.T_given_kf)
 
 
 class Atlas:

@@ -15,7 +15,8 @@ from slam.config import Config
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Trust
 from slam.geometry import se3
-from slam.loops.atlas import Atlas, Correction, LargestSubmap
+from slam.loops.atlas import Atlas, LargestSubmap
+from slam.loops.correction import Correction
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.submaps import NEEDED_PLACES
 from slam.pose_graph import solve, solve_beside
@@ -286,7 +287,7 @@ class BackEnd:
     def _correct(self, newest_id: int, largest: LargestSubmap) -> None:
         with self._clock.stage("correct"):
             solution = solve_beside(largest.graph, self._inlier_probability)
-        self.corrections.append(largest.correction(len(self.corrections), newest_id, solution))
+        self.corrections.append(largest.correction(self.corrections[-1], newest_id, solution))
 
 
 def refusals(attempts: Sequence[LoopAttempt]) -> tuple[str, ...]:

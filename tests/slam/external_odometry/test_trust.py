@@ -189,6 +189,16 @@ def test_a_stretch_of_slow_slip_is_doubted(truth):
     assert not set(trust.doubted) & {each.query_id for each in trust.steps}
 
 
+@pytest.mark.parametrize("bent", [12, COUNT - 1], ids=["within", "the newest"])
+def test_one_bent_image_casts_no_doubt_on_a_step(truth, bent):
+    """All motions of the newest keyframe are of its image; a step's own would have to tell more."""
+    T = truth.copy()
+    T[bent] = T[bent] @ se3.exp(np.array([0.0, 0.0, 0.0, 0.03, 0.0, 0.0]))
+    pairs = [(a, b) for b in range(COUNT) for a in range(max(0, b - 8), b)]
+    trust = judge(motions(T, noise=0.3, pairs=pairs), keyframes(truth), STAMPS_S)
+    assert trust.doubted == ()
+
+
 def test_of_too_few_motions_nothing_is_known_and_a_fair_odometry_assumed(truth):
     for count in (0, 7):
         trust = judge(motions(truth)[:count], keyframes(truth), STAMPS_S)

@@ -9,6 +9,7 @@ import pytest
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, LargestSubmap, odometry_frames
+from slam.loops.correction import Correction
 from slam.loops.submaps import NEEDED_PLACES
 from slam.pose_graph import GraphSolution, solve
 from slam.types import (
@@ -235,7 +236,7 @@ def test_the_correction_of_a_segment_is_known_once_it_is_joined(run):
 
     def correction():
         solved = run.finish({0: 1})
-        return solved.largest.correction(7, 3, solved.solution)
+        return solved.largest.correction(Correction(6, 2, {}, {}), 3, solved.solution)
 
     assert list(correction().T_world_odom) == [0]
     run.add(1, [(1, TRUE)])
@@ -255,8 +256,9 @@ def test_an_odometry_from_elsewhere_stays_where_it_begins_until_it_can_be_judged
 
     def T_world_given():
         solved = run.finish()
-        return solved.largest.correction(1, 2, solved.solution).T_world_given
+        return solved.largest.correction(beginning, 2, solved.solution).T_world_given
 
+    beginning = Correction(0, -1, {}, {}, se3.inverse(T_given_odom))
     np.testing.assert_allclose(T_world_given(), se3.inverse(T_given_odom), atol=1e-6)
     run.add(0, [(0, TRUE)])  # a loop is something to correct it by
     assert np.abs(T_world_given() - se3.inverse(T_given_odom)).max() > 1e-3
