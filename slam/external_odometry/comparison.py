@@ -9,6 +9,11 @@ import numpy as np
 from slam.geometry import se3
 from slam.types import FloatArray, IntArray, Link
 
+# Standard deviations of a pose at an image's time, rad and m, however good the odometry: clocks
+# agree to about a millisecond, and between two poses a steady motion is assumed.
+_TURNED_IN_TIME, _MOVED_IN_TIME = 5e-4, 5e-4
+_IN_TIME = np.diag(np.repeat([_TURNED_IN_TIME, _MOVED_IN_TIME], 3) ** 2)
+
 
 @dataclass(frozen=True)
 class GivenKeyframe:
@@ -79,7 +84,7 @@ class Comparison:
 
     Attributes:
         errors: (N, 6) tangents, rad and m.
-        covariances: (N, 6, 6), what the images claim.
+        covariances: (N, 6, 6), what the images claim, and how well poses are known in time.
         extents: (N, 3) metres, radians and seconds on the way.
         lags: (N,) keyframes on the way.
         images: (N,) the later keyframe's row, whose image's noise all of its motions share.
@@ -100,7 +105,7 @@ class Comparison:
         given = se3.inverse(path.T[rows[:, 0]]) @ path.T[rows[:, 1]]
         return Comparison(
             se3.log(se3.inverse(measured) @ given),
-            np.linalg.inv(np.array([each.motion.information for each in motions])),
+            np.linalg.inv(np.array([each.motion.information for each in motions])) + 2.0 * _IN_TIME,
             path.extents(pairs),
             np.abs(rows[:, 1] - rows[:, 0]),
             rows.max(axis=1),

@@ -46,6 +46,7 @@ class Verdict(StrEnum):
     UNKNOWN = "too few motions could be compared with the images"
     BORNE_OUT = "the images cannot tell it from the truth"
     SHARED = "it agrees with the images more closely than they can know, so it was made from them"
+    CONTRADICTED = "over short ways the images bear it out, but loops contradict it"
     NOISY = "the images contradict it by more than their own noise"
 
 

@@ -3,7 +3,7 @@
 
 import logging
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.external_odometry.comparison import GivenKeyframe
-from slam.external_odometry.trust import Trust
+from slam.external_odometry.trust import Trust, Verdict
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, LargestSubmap
 from slam.loops.correction import Correction
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.submaps import NEEDED_PLACES
-from slam.pose_graph import solve, solve_beside
+from slam.pose_graph import GraphSolution, PoseGraph, solve, solve_beside
 from slam.stage_clock import StageClock
 from slam.types import (
     MIN_TRUSTED_WEIGHT,
@@ -39,6 +39,9 @@ _LOOP_GROWTH = 0.1
 # An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
 # more as that share.
 _JUDGED_AFTER = 1
+# Of the loops that images alone would keep, an odometry may cost so many, and this share: the truth
+# of fr1_desk costs 6 of 39.
+_MAY_OUTVOTE, _MAY_OUTVOTE_SHARE = 4, 0.25
 _log = logging.getLogger(__name__)
 
 
@@ -186,10 +189,9 @@ class BackEnd:
             if given is not None:
                 self._atlas.forget_given()
                 self._atlas.give(given)
-            largest = self._atlas.largest(frames)
+            largest, solution = _borne_out(*self._largest(frames), self._solve)
             graph = largest.graph
-            solution = solve(graph, self._inlier_probability)
-            without = solve(replace(graph, loops={}), self._inlier_probability)
+            without = self._solve(replace(graph, loops={}))
         attempts = tuple(
             _in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
             for key, attempt in enumerate(self.attempts)
@@ -221,7 +223,19 @@ class BackEnd:
         self._catch_up_with_what_failed()
         self._atlas.move(T_odom_kf)
         graph = self._atlas.largest(with_given=False).graph
-        return {**T_odom_kf, **solve(graph, self._inlier_probability).T_world_kf}
+        return {**T_odom_kf, **self._solve(graph).T_world_kf}
+
+    def _largest(
+        self, frames: Mapping[int, int] | None = None
+    ) -> tuple[LargestSubmap, LargestSubmap]:
+        """Return the largest submap, and what it is by images alone, where that may matter."""
+        largest = self._atlas.largest(frames)
+        if not (largest.trust and largest.trust.is_followed and largest.graph.loops):
+            return largest, largest
+        return largest, self._atlas.largest(frames, with_given=False)
+
+    def _solve(self, graph: PoseGraph) -> GraphSolution:
+        return solve(graph, self._inlier_probability)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (K, K), how alike all keyframes are, -1 to 1."""
@@ -276,18 +290,44 @@ class BackEnd:
             or loops[keyframe.segment] - solved > _LOOP_GROWTH * solved
         ):
             self._solved_loops, self._judged_id = loops.copy(), keyframe.id
-            largest = self._atlas.largest()
-            self._solving.append(self._solver.submit(self._correct, keyframe.id, largest))
+            self._solving.append(self._solver.submit(self._correct, keyframe.id, *self._largest()))
         return attempts
 
     def _is_due(self, keyframe: Keyframe, given: GivenKeyframe | None) -> bool:
         new = keyframe.id - self._judged_id
         return given is not None and new > _JUDGED_AFTER + _LOOP_GROWTH * keyframe.id
 
-    def _correct(self, newest_id: int, largest: LargestSubmap) -> None:
+    def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):
-            solution = solve_beside(largest.graph, self._inlier_probability)
+            largest, solution = _borne_out(
+                largest, by_images, lambda graph: solve_beside(graph, self._inlier_probability)
+            )
         self.corrections.append(largest.correction(self.corrections[-1], newest_id, solution))
+
+
+def _borne_out(
+    largest: LargestSubmap,
+    by_images: LargestSubmap,
+    solved: Callable[[PoseGraph], GraphSolution],
+) -> tuple[LargestSubmap, GraphSolution]:
+    """Return a submap and its solution: that by images alone, where loops bear out no other.
+
+    What slips slowly may agree with every motion over a short way. It is stiff in the graph then,
+    and loops that agree with the images and with each other are outvoted.
+    """
+    solution, trust = solved(largest.graph), largest.trust
+    if by_images is largest or trust is None:
+        return largest, solution
+    alone = solved(by_images.graph)
+    most = max(_MAY_OUTVOTE, _MAY_OUTVOTE_SHARE * _in_use(alone))
+    if _in_use(alone) - _in_use(solution) <= most:
+        return largest, solution
+    doubted = replace(trust, verdict=Verdict.CONTRADICTED, steps=())
+    return replace(by_images, trust=doubted), alone
+
+
+def _in_use(solution: GraphSolution) -> int:
+    return sum(weight > MIN_TRUSTED_WEIGHT for weight in solution.weights.values())
 
 
 def refusals(attempts: Sequence[LoopAttempt]) -> tuple[str, ...]:

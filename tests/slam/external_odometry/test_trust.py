@@ -189,6 +189,25 @@ def test_a_stretch_of_slow_slip_is_doubted(truth):
     assert not set(trust.doubted) & {each.query_id for each in trust.steps}
 
 
+def test_poses_are_known_only_as_well_as_their_times(truth):
+    """As between two poses, where a steady motion is assumed, and images are very precise."""
+    sigmas = np.repeat([0.0001, 0.0002], 3)
+    information, rng = np.diag(sigmas**-2.0), np.random.default_rng(0)
+    measured = [
+        Link(
+            a,
+            b,
+            RelativePose(
+                se3.inverse(truth[a]) @ truth[b] @ se3.exp(sigmas * rng.normal(size=6)), information
+            ),
+        )
+        for a, b in (*NEIGHBOURS, *LOOPS)
+    ]
+    in_time = truth @ se3.exp(4e-4 * rng.normal(size=(COUNT, 6)))
+    trust = judge(measured, keyframes(in_time), STAMPS_S)
+    assert (trust.verdict, trust.doubted) == (Verdict.BORNE_OUT, ())
+
+
 @pytest.mark.parametrize("bent", [12, COUNT - 1], ids=["within", "the newest"])
 def test_one_bent_image_casts_no_doubt_on_a_step(truth, bent):
     """All motions of the newest keyframe are of its image; a step's own would have to tell more."""

@@ -8,6 +8,8 @@ import pytest
 from placerec.errors import RecognizerError
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, LoopConfig
+from slam.external_odometry.comparison import GivenKeyframe
+from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor
 from slam.loops.back_end import BackEnd
@@ -206,6 +208,23 @@ def test_the_first_loops_of_another_segment_do_not_wait_for_as_many_as_there_are
     behind.catch_up()
     # The second loop of the first segment waits for ten more, the first of the next for none.
     assert [each.newest_id for each in behind.corrections] == [-1, 2, 4]
+
+
+def test_an_odometry_that_slips_slowly_does_not_outvote_the_loops(keyframes):
+    """It agrees with motions over short ways, and a leap hides it from those over long ones."""
+    behind, (keyframe, rgb) = back_end(Gate(), min_gap=8), keyframes[0]
+    slipped = np.eye(4)
+    jitter = se3.exp(np.random.default_rng(0).normal(size=(11, 6)) * np.repeat([7e-4, 2e-3], 3))
+    for k in range(11):
+        slipped[0, 3] += 0.2 if k == 4 else 0.004 if k > 4 else 0.0
+        each = replace(keyframe, id=k, timestamp_s=3.0 * k)
+        behind.insert(each, links(each), {}, rgb, GivenKeyframe(slipped @ jitter[k]))
+    solved = behind.solve({})
+    assert solved.trust.verdict is Verdict.CONTRADICTED
+    assert solved.trust.doubted == (4,)
+    assert solved.steps == ()
+    assert len(in_use(solved)) == len(solved.attempts) == 6
+    np.testing.assert_allclose(solved.T_world_kf, np.tile(np.eye(4), (11, 1, 1)), atol=1e-3)
 
 
 def test_links_follow_the_odometry_that_moves_its_keyframes(keyframes):
