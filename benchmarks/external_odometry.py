@@ -9,8 +9,8 @@ with it; a row that ends in "auto" is given to `--odometry.T-base-cam auto`, `.s
 `.time-offset-s auto`. The others are files in the folder `odometry` beside the sequences: what
 other systems made of them, named SYSTEM_SEQUENCE*.txt.
 
-Errors are those of the camera's path: as it came, where it was read rightly; live, corrected; in
-the end without loops, and with; and of all poses that came, corrected.
+Errors are those of the camera's path: as it came, where it was read rightly; live, corrected, where
+it has poses; in the end without loops, and with; and of all poses that came, corrected.
 """
 
 import argparse
@@ -168,6 +168,12 @@ def rows(sequence: Sequence, folder: Path) -> Iterator[tuple[str, Row]]:
         yield file.stem, Row(lambda _, poses=poses: poses)
 
 
+def _also_in(given: Trajectory, live: Trajectory) -> Trajectory:
+    """Return the live poses at the times at which the odometry has one too, to be compared."""
+    known = np.isin(live.timestamps_s, given.timestamps_s)
+    return Trajectory(live.timestamps_s[known], live.T_world_cam[known])
+
+
 HEADER = (
     "| sequence | odometry | ATE, m: as it came | live | without loops | with | all poses | loops,"
     " false | what was said |\n|---|---|---|---|---|---|---|---|---|"
@@ -180,7 +186,7 @@ def table_row(sequence: Sequence, name: str, row: Row) -> str:
     true = sequence.ground_truth
     assert true is not None and result.given is not None
     drift = compare_drift(result, true, config)
-    live = "-" if drift.live is None else f"{drift.live.ate_rmse_m:.4f}"
+    live = trajectory_error(_also_in(result.odometry, result.live), true, config).ate_rmse_m
     is_camera = name in ("truth", "own odometry", "drift") or ("_" in name and "base" not in name)
     corrected = "-"
     if is_camera:
@@ -191,7 +197,7 @@ def table_row(sequence: Sequence, name: str, row: Row) -> str:
     errors = (drift.odometry, drift.without_loops, drift.corrected)
     came, without, with_loops = (f"{each.ate_rmse_m:.4f}" for each in errors)
     return (
-        f"| {sequence.name} | {name} | {came} | {live} | {without} | {with_loops} | {corrected} |"
+        f"| {sequence.name} | {name} | {came} | {live:.4f} | {without} | {with_loops} | {corrected} |"
         f" {closed}, {false} | {'; '.join(said)} |"
     )
 
