@@ -197,8 +197,8 @@ def table_row(sequence: Sequence, name: str, row: Row) -> str:
     errors = (drift.odometry, drift.without_loops, drift.corrected)
     came, without, with_loops = (f"{each.ate_rmse_m:.4f}" for each in errors)
     return (
-        f"| {sequence.name} | {name} | {came} | {live:.4f} | {without} | {with_loops} | {corrected} |"
-        f" {closed}, {false} | {'; '.join(said)} |"
+        f"| {sequence.name} | {name} | {came} | {live:.4f} | {without} | {with_loops} |"
+        f" {corrected} | {closed}, {false} | {'; '.join(said)} |"
     )
 
 
