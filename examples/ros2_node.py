@@ -249,7 +249,7 @@ class Mapper:
             SlamError: no image could be tracked.
         """
         result = self._slam.finish()
-        poses = enumerate(result.T_world_kf)
+        poses = enumerate(self._slam.correction.T_world_start @ result.T_world_kf)
         T_world_kf = {k: T for k, T in poses if np.isfinite(T[0, 0])}
         used = [each for each in result.attempts if each.rejection is None]
         return result, self._draw(T_world_kf, [(each.match_id, each.query_id) for each in used])

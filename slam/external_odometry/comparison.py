@@ -84,7 +84,7 @@ class Comparison:
 
     Attributes:
         errors: (N, 6) tangents, rad and m.
-        covariances: (N, 6, 6), what the images claim, and how well poses are known in time.
+        covariances: (N, 6, 6), what the images claim.
         extents: (N, 3) metres, radians and seconds on the way.
         lags: (N,) keyframes on the way.
         images: (N,) the later keyframe's row, whose image's noise all of its motions share.
@@ -105,7 +105,7 @@ class Comparison:
         given = se3.inverse(path.T[rows[:, 0]]) @ path.T[rows[:, 1]]
         return Comparison(
             se3.log(se3.inverse(measured) @ given),
-            np.linalg.inv(np.array([each.motion.information for each in motions])) + 2.0 * _IN_TIME,
+            np.linalg.inv(np.array([each.motion.information for each in motions])),
             path.extents(pairs),
             np.abs(rows[:, 1] - rows[:, 0]),
             rows.max(axis=1),
@@ -114,6 +114,12 @@ class Comparison:
     def squared(self, rotation: FloatArray, translation: FloatArray) -> FloatArray:
         """Return (N,) squared errors in units of the images' noise and the odometry's, added."""
         more = np.repeat(self.extents @ np.column_stack([rotation, translation]), 3, axis=1)
-        total = self.covariances + more[:, :, None] * np.eye(6)
-        weights = np.linalg.inv(total)
+        return self._squared(self.covariances + 2.0 * _IN_TIME + more[:, :, None] * np.eye(6))
+
+    def squared_as_claimed(self) -> FloatArray:
+        """Return (N,) squared errors in units of the images' noise alone."""
+        return self._squared(self.covariances)
+
+    def _squared(self, covariances: FloatArray) -> FloatArray:
+        weights = np.linalg.inv(covariances)
         return np.asarray(np.einsum("ni,nij,nj->n", self.errors, weights, self.errors))

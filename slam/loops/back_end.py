@@ -189,7 +189,7 @@ class BackEnd:
             if given is not None:
                 self._atlas.forget_given()
                 self._atlas.give(given)
-            largest, solution = _borne_out(*self._largest(frames), self._solve)
+            largest, solution = borne_out(*self._largest(frames), self._solve)
             graph = largest.graph
             without = self._solve(replace(graph, loops={}))
         attempts = tuple(
@@ -230,7 +230,8 @@ class BackEnd:
     ) -> tuple[LargestSubmap, LargestSubmap]:
         """Return the largest submap, and what it is by images alone, where that may matter."""
         largest = self._atlas.largest(frames)
-        if not (largest.trust and largest.trust.is_followed and largest.graph.loops):
+        is_stiff = largest.trust is not None and largest.trust.verdict is Verdict.BORNE_OUT
+        if not (is_stiff and largest.graph.loops):
             return largest, largest
         return largest, self._atlas.largest(frames, with_given=False)
 
@@ -299,13 +300,13 @@ class BackEnd:
 
     def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):
-            largest, solution = _borne_out(
+            largest, solution = borne_out(
                 largest, by_images, lambda graph: solve_beside(graph, self._inlier_probability)
             )
         self.corrections.append(largest.correction(self.corrections[-1], newest_id, solution))
 
 
-def _borne_out(
+def borne_out(
     largest: LargestSubmap,
     by_images: LargestSubmap,
     solved: Callable[[PoseGraph], GraphSolution],
@@ -319,15 +320,14 @@ def _borne_out(
     if by_images is largest or trust is None:
         return largest, solution
     alone = solved(by_images.graph)
-    most = max(_MAY_OUTVOTE, _MAY_OUTVOTE_SHARE * _in_use(alone))
-    if _in_use(alone) - _in_use(solution) <= most:
+    if solution.T_world_kf.keys() - alone.T_world_kf.keys():
+        return largest, solution  # only the odometry knows where some of it is
+    kept = {key for key, weight in alone.weights.items() if weight > MIN_TRUSTED_WEIGHT}
+    lost = [key for key in kept if solution.weights.get(key, 1.0) <= MIN_TRUSTED_WEIGHT]
+    if len(lost) <= max(_MAY_OUTVOTE, _MAY_OUTVOTE_SHARE * len(kept)):
         return largest, solution
     doubted = replace(trust, verdict=Verdict.CONTRADICTED, steps=())
     return replace(by_images, trust=doubted), alone
-
-
-def _in_use(solution: GraphSolution) -> int:
-    return sum(weight > MIN_TRUSTED_WEIGHT for weight in solution.weights.values())
 
 
 def refusals(attempts: Sequence[LoopAttempt]) -> tuple[str, ...]:

@@ -35,12 +35,14 @@ class Correction:
     def after(self, before: "Correction", T_given_kf: Mapping[int, FloatArray]) -> "Correction":
         """Return it in the world of the one before, by where a given odometry has keyframes.
 
-        Where tracking is followed from now on instead of that odometry, or the other way round,
-        what both make of the keyframes so far is brought to lie on each other: as poses that came
-        out stay, the camera is to leap as little as possible.
+        Where tracking is followed from now on instead of that odometry, or the other way round, or
+        poses count from another keyframe, what both make of the keyframes so far is brought to lie
+        on each other: as poses that came out stay, the camera is to leap as little as possible.
         """
         T_world_start = before.T_world_start
-        if (self.T_world_given is None) != (before.T_world_given is None):
+        is_turned = (self.T_world_given is None) != (before.T_world_given is None)
+        first, first_before = (next(iter(each.T_world_kf), None) for each in (self, before))
+        if is_turned or (first_before is not None and first != first_before):
             T_start_kf, T_world_kf = self._placed(T_given_kf), before._placed(T_given_kf)
             common = sorted(T_start_kf.keys() & T_world_kf.keys())
             if common:
@@ -58,10 +60,11 @@ class Correction:
         )
 
     def _placed(self, T_given_kf: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
-        """Return where keyframes are by what is followed."""
+        """Return where keyframes are: by the graph, those that it did not know by what is given."""
         if self.T_world_given is None:
             return dict(self.T_world_kf)
-        return {k: self.T_world_given @ T for k, T in T_given_kf.items()}
+        # Before a leap or a new beginning of that odometry it is corrected by something else.
+        return {**{k: self.T_world_given @ T for k, T in T_given_kf.items()}, **self.T_world_kf}
 
 
 def _mean_motion(T_from: FloatArray, T_to: FloatArray) -> FloatArray:

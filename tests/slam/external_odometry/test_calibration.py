@@ -93,22 +93,20 @@ def test_the_unit_is_found_where_the_frame_is_right(tracked, camera):
 
 
 @pytest.mark.parametrize("scale", [1.05, 0.95])
-@pytest.mark.parametrize("noise_m", [5e-4, 2e-3])
-def test_another_unit_is_named_however_well_the_poses_fit(
-    tracked, walk_at, drifting, scale, noise_m
+def test_another_unit_is_named_where_noisy_images_fit_the_one_asked_for_about_as_well(
+    walk_at, drifting, camera, scale
 ):
-    camera = drifting(walk_at(np.arange(-25, 1030) / 50.0 + 0.007), m=noise_m, seed=7)
-    found = calibrate([tracked], Convention(scale=scale).as_given(camera), AS_IT_IS)
+    noisy = drifting(walk_at(np.arange(400) / 20.0), rad=4e-3, m=4e-3)
+    found = calibrate([noisy], Convention(scale=scale).as_given(camera), AS_IT_IS)
     assert found.convention.scale == pytest.approx(scale, abs=0.01)
-    assert "too" in read(OdometryConfig(), found).sentences[0]
+    assert "--odometry.scale" in read(OdometryConfig(), found).sentences[0]
 
 
 @pytest.mark.parametrize("noise_m", [5e-3, 2e-2, 5e-2])
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_makes_no_other_unit(tracked, walk_at, drifting, noise_m, seed):
     camera = drifting(walk_at(np.arange(-25, 1030) / 50.0 + 0.007), m=noise_m, seed=seed)
-    found = calibrate([tracked], camera, AS_IT_IS)
-    assert not any("--odometry.scale" in each for each in read(OdometryConfig(), found).sentences)
+    assert calibrate([tracked], camera, AS_IT_IS).convention.scale == 1.0
 
 
 def test_all_is_found_at_once_also_from_parts_that_are_each_in_a_frame_of_its_own(

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,8 +23,8 @@ def by_images(T_world_start, ids=range(6)):
 
 def by_given(T_world_start):
     """Return one that follows the given odometry, by what the graph makes of it, elsewhere."""
-    T_world_given = T_world_start @ T_WORLD_GIVEN
-    return Correction(1, 5, {0: np.eye(4)}, {0: np.eye(4)}, T_world_given)
+    moved = by_images(T_world_start)
+    return replace(moved, T_world_given=T_world_start @ T_WORLD_GIVEN)
 
 
 @pytest.mark.parametrize("turn", [by_images, by_given], ids=["to the images", "to the odometry"])
@@ -58,7 +60,29 @@ def test_the_world_stays_while_the_same_is_followed_and_goes_back_with_what_was(
     np.testing.assert_allclose(back.T_world_given, T_WORLD_GIVEN, atol=1e-12)
 
 
+@pytest.mark.parametrize("turn", [by_images, by_given], ids=["to the images", "to the odometry"])
+def test_poses_from_before_a_leap_of_the_odometry_turn_nothing(turn):
+    """They are of another world than those after it, by which it is corrected now."""
+    T_given_kf = {k: T_ELSEWHERE @ T if k < 3 else T for k, T in T_GIVEN_KF.items()}
+    before = {by_images: by_given, by_given: by_images}[turn](np.eye(4))
+    found = turn(np.eye(4)).after(before, T_given_kf)
+    np.testing.assert_allclose(found.T_world_start, np.eye(4), atol=1e-12)
+
+
+def test_the_first_correction_of_all_is_by_the_odometry_alone():
+    before = Correction(0, -1, {}, {0: np.eye(4)}, T_WORLD_GIVEN)
+    found = by_images(T_ELSEWHERE).after(before, T_GIVEN_KF)
+    np.testing.assert_allclose(found.T_world_start, se3.inverse(T_ELSEWHERE), atol=1e-12)
+
+
+def test_the_world_stays_where_poses_count_from_another_keyframe():
+    later = by_images(se3.inverse(T_WORLD_KF[2]), range(2, 6))
+    found = later.after(by_images(np.eye(4)), {})
+    np.testing.assert_allclose(found.T_world_odom[0], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(found.T_world_kf[5], T_WORLD_KF[5], atol=1e-12)
+
+
 def test_where_nothing_is_known_of_both_the_world_stays():
-    before = Correction(0, -1, {}, {0: np.eye(4)})
+    before = Correction(0, -1, {}, {0: np.eye(4)})  # of frames without a pose
     found = by_given(T_ELSEWHERE).after(before, T_GIVEN_KF)
     np.testing.assert_array_equal(found.T_world_start, np.eye(4))
