@@ -115,15 +115,21 @@ def own(sequence: Sequence) -> Trajectory:
     return run(sequence, None, {}).odometry
 
 
-def own_of_base(sequence: Sequence) -> Trajectory:
-    """Return the same as poses of the body that the camera would be on."""
-    return Convention(T_base_cam=T_BASE_CAM).as_given(own(sequence))
+def own_read_as(**wrong: object) -> Callable[[Sequence], Trajectory]:
+    """Return what writes that down in another convention."""
+    convention = Convention(**wrong)
+    return lambda sequence: convention.as_given(own(sequence))
 
 
 MADE_UP = {
     "truth": Row(truth),
     "own odometry": Row(own),
-    "own odometry of base_link, auto": Row(own_of_base, {"T_base_cam": "auto"}),
+    "own odometry of base_link, auto": Row(
+        own_read_as(T_base_cam=T_BASE_CAM), {"T_base_cam": "auto"}
+    ),
+    "own odometry 150 ms late, auto": Row(
+        own_read_as(time_offset_s=LATE_S), {"time_offset_s": "auto"}
+    ),
     "every second pose": Row(
         lambda s: Trajectory(*(each[::2] for each in vars(truth(s)).values()))
     ),
