@@ -35,19 +35,15 @@ def close_loops(sequence: Sequence, odometry: Trajectory) -> SlamResult:
     """Hand every image, and all poses until then, to `Slam`; let it correct the poses."""
     slam = Slam(sequence.camera, load("learned"), CONFIG)
     poses = zip(odometry.timestamps_s.tolist(), odometry.T_world_cam, strict=True)
-    following = next(poses, None)
+    last_s = -np.inf
     for frame in sequence:
-        # One pose more than those until then: the image's lies between the last two.
-        while following and following[0] <= frame.timestamp_s:
-            slam.add_pose(*following)
-            following = next(poses, None)
-        if following:
-            slam.add_pose(*following)
-            following = next(poses, None)
+        # One pose more than those until then: the image's lies between two.
+        while last_s <= frame.timestamp_s and (pose := next(poses, None)):
+            slam.add_pose(*pose)
+            last_s = pose[0]
         slam.process(frame)
-    while following:
-        slam.add_pose(*following)
-        following = next(poses, None)
+    for pose in poses:
+        slam.add_pose(*pose)
     return slam.finish()
 
 

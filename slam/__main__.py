@@ -309,19 +309,17 @@ class _Feed:
 
     def __init__(self, slam: "Slam", poses: "PoseFile | None") -> None:
         self._slam = slam
-        self._next = 0
+        self._next, self._last_s = 0, -math.inf
         self._T = poses.trajectory.T_world_cam if poses else ()
         self._stamps_s = poses.trajectory.timestamps_s.tolist() if poses else []
 
     def until(self, timestamp_s: float) -> None:
         """Hand over all poses until a time of the images', and one more, to be between two."""
         limit_s = timestamp_s + self._slam.time_offset_s
-        while self._next < len(self._stamps_s):
-            time_s = self._stamps_s[self._next]
-            self._slam.add_pose(time_s, self._T[self._next])
+        while self._next < len(self._stamps_s) and self._last_s <= limit_s:
+            self._last_s = self._stamps_s[self._next]
+            self._slam.add_pose(self._last_s, self._T[self._next])
             self._next += 1
-            if time_s > limit_s:
-                return
 
 
 def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The poses of an odometry from elsewhere, as they come."""
 
+from bisect import bisect_left
+
 import numpy as np
 
 from slam.geometry import se3
@@ -38,10 +40,14 @@ class GivenPoses:
         """All of them, as they were given."""
         return Trajectory(np.array(self._stamps_s), np.array(self._poses).reshape(-1, 4, 4))
 
-    def last(self, count: int) -> Trajectory:
-        """Return the last so many, fewer where there are not as many."""
-        poses = np.array(self._poses[-count:]).reshape(-1, 4, 4)
-        return Trajectory(np.array(self._stamps_s[-count:]), poses)
+    def around(self, timestamp_s: float) -> Trajectory:
+        """Return the two of them that a time is between, or the two that are nearest to it.
+
+        Poses come earlier than the images of their time: many may have come that are later.
+        """
+        first = max(min(bisect_left(self._stamps_s, timestamp_s) - 1, len(self) - 2), 0)
+        poses = np.array(self._poses[first : first + 2]).reshape(-1, 4, 4)
+        return Trajectory(np.array(self._stamps_s[first : first + 2]), poses)
 
     def covariance(self, start_s: float, end_s: float) -> FloatArray | None:
         """Return the (6, 6) covariance of the motion between two times, None where not all is told.

@@ -85,22 +85,23 @@ class ExternalOdometry:
         return np.asarray(self._asked.camera_poses(one).T_world_cam[0])
 
     def at(self, timestamp_s: float) -> FloatArray | None:
-        """Return where the odometry has the camera at a time about that of its last pose.
+        """Return where the odometry has the camera at a time, or just after its last pose.
 
         That is (4, 4), read as was asked for, and None where it has no pose around then.
         """
-        recent = self._asked.camera_poses(self._given.last(2))
-        if len(recent) < 2:
+        around = self._given.around(timestamp_s + self.time_offset_s)
+        known = self._asked.camera_poses(around)
+        if len(known) < 2:
             return None
-        T = poses_between(recent, np.array([timestamp_s]))[0]
+        T = poses_between(known, np.array([timestamp_s]))[0]
         if np.isfinite(T[0, 0]):
             return np.asarray(T)
-        first_s, last_s = recent.timestamps_s
+        first_s, last_s = known.timestamps_s
         ahead = (timestamp_s - last_s) / (last_s - first_s)
         if not 0.0 < ahead <= 1.0 or timestamp_s - last_s > _AHEAD_S:
             return None
-        step = se3.log(se3.inverse(recent.T_world_cam[0]) @ recent.T_world_cam[1])
-        return np.asarray(recent.T_world_cam[1] @ se3.exp(ahead * step))
+        step = se3.log(se3.inverse(known.T_world_cam[0]) @ known.T_world_cam[1])
+        return np.asarray(known.T_world_cam[1] @ se3.exp(ahead * step))
 
     def next_keyframe(
         self, timestamp_s: float, T_given_cam: FloatArray | None

@@ -10,6 +10,7 @@ import pytest
 
 from slam.__main__ import main
 from slam.evaluation.trajectory import read_tum, write_tum
+from slam.external_odometry.odometry import ExternalOdometry
 from slam.geometry import se3
 from slam.types import Trajectory
 
@@ -72,6 +73,25 @@ def test_the_poses_come_back_corrected_beside_the_usual_outputs(run_slam, folder
     assert "The odometry, compared with" in (out_folder / "report.html").read_text()
     run_slam(folder)  # the next run makes none
     assert not list(out_folder.glob("corrected*")) and not (out_folder / "map_odom.txt").exists()
+
+
+def test_images_without_a_pose_of_their_own_cost_no_other_its_pose(
+    run_slam, folder, truth, monkeypatch
+):
+    kept = np.setdiff1d(np.arange(len(truth)), [2, 4, 5])
+    write_tum(folder / "poses.txt", Trajectory(*(each[kept] for each in vars(truth).values())))
+    at, asked = ExternalOdometry.at, []
+
+    def recorded(self, timestamp_s):
+        asked.append((at(self, timestamp_s), self._given.last_s - timestamp_s))
+        return asked[-1][0]
+
+    monkeypatch.setattr(ExternalOdometry, "at", recorded)
+    run_slam(folder, "--odometry", folder / "poses.txt")
+    assert len(asked) == len(truth)
+    assert all(T is not None for T, _ in asked)
+    # No more than one later than the image is handed over.
+    assert max(early_s for _, early_s in asked) < 3.1 * np.median(np.diff(truth.timestamps_s))
 
 
 def test_poses_come_back_as_they_are_written(run_slam, folder, truth, tmp_path):

@@ -73,14 +73,23 @@ def given():
 def test_poses_come_back_as_they_were_given(given):
     expected = steady(np.arange(6) / 10)
     assert (len(given), given.last_s) == (6, 0.5)
-    for found, first in ((given.trajectory, 0), (given.last(2), 4), (given.last(99), 0)):
-        np.testing.assert_array_equal(found.timestamps_s, expected.timestamps_s[first:])
-        np.testing.assert_array_equal(found.T_world_cam, expected.T_world_cam[first:])
+    np.testing.assert_array_equal(given.trajectory.timestamps_s, expected.timestamps_s)
+    np.testing.assert_array_equal(given.trajectory.T_world_cam, expected.T_world_cam)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "first"),
+    [(-1.0, 0), (0.0, 0), (0.05, 0), (0.1, 0), (0.11, 1), (0.45, 4), (0.5, 4), (9.0, 4)],
+)
+def test_two_poses_are_around_a_time_or_nearest_to_it(given, time_s, first):
+    found, expected = given.around(time_s), steady(np.arange(6) / 10)
+    np.testing.assert_array_equal(found.timestamps_s, expected.timestamps_s[first : first + 2])
+    np.testing.assert_array_equal(found.T_world_cam, expected.T_world_cam[first : first + 2])
 
 
 def test_before_there_is_one_any_time_is_later_than_the_last():
     assert GivenPoses().last_s == -np.inf
-    assert len(GivenPoses()) == len(GivenPoses().last(2)) == 0
+    assert len(GivenPoses()) == len(GivenPoses().around(0.0)) == 0
     assert GivenPoses().covariance(0.0, 1.0) is None
 
 

@@ -103,8 +103,14 @@ def test_about_the_last_pose_the_camera_moves_steadily(time_s):
     np.testing.assert_allclose(external.at(time_s), steady([time_s]).T_world_cam[0], atol=1e-12)
 
 
-@pytest.mark.parametrize("time_s", [0.05, 0.251, 0.5])
-def test_further_than_50_ms_ahead_or_further_back_nothing_is_known(time_s):
+@pytest.mark.parametrize("time_s", [0.0, 0.05, 0.1, 0.19])
+def test_poses_may_come_long_before_the_image_of_their_time(time_s):
+    external = filled(steady(np.arange(50) / 10))
+    np.testing.assert_allclose(external.at(time_s), steady([time_s]).T_world_cam[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("time_s", [-0.05, 0.251, 0.5])
+def test_further_than_50_ms_ahead_or_before_the_first_nothing_is_known(time_s):
     assert filled(steady([0.0, 0.1, 0.2])).at(time_s) is None
 
 
