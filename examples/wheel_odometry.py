@@ -106,17 +106,15 @@ def close_loops(
     config = Config.model_validate({"odometry": {"T_base_cam": told}})
     slam = Slam(sequence.camera, load("learned"), config)
     poses = zip(wheels.timestamps_s.tolist(), wheels.T_world_cam, strict=True)
-    following = next(poses, None)
+    last_s = -np.inf
     for frame in sequence:
-        is_between = False
-        while following and not is_between:
-            is_between = following[0] > frame.timestamp_s
-            slam.add_pose(*following)
-            following = next(poses, None)
+        # One pose more than those until then: the image's lies between two.
+        while last_s <= frame.timestamp_s and (pose := next(poses, None)):
+            slam.add_pose(*pose)
+            last_s = pose[0]
         slam.process(frame)
-    while following:
-        slam.add_pose(*following)
-        following = next(poses, None)
+    for pose in poses:
+        slam.add_pose(*pose)
     return slam.finish()
 
 
