@@ -9,10 +9,9 @@ import numpy as np
 from slam.geometry import se3
 from slam.types import FloatArray, IntArray, Link
 
-# Standard deviations of a pose at an image's time, rad and m, however good the odometry: clocks
-# agree to about a millisecond, and between two poses a steady motion is assumed.
-_TURNED_IN_TIME, _MOVED_IN_TIME = 5e-4, 5e-4
-_IN_TIME = np.diag(np.repeat([_TURNED_IN_TIME, _MOVED_IN_TIME], 3) ** 2)
+# Variance, rad^2 and m^2, of a pose at an image's time between two that came, however good those
+# are: a steady motion is assumed.
+_BETWEEN = 5e-4**2 * np.eye(6)
 
 
 @dataclass(frozen=True)
@@ -24,11 +23,13 @@ class GivenKeyframe:
         covariance: (6, 6) of its motion since the keyframe before, as a tangent on the right, where
             it tells it: then that is believed.
         is_new: whether it began anew since the keyframe before, as in another session.
+        is_between: whether no pose came of that time, but one before and one after it.
     """
 
     T_given_cam: FloatArray
     covariance: FloatArray | None = None
     is_new: bool = False
+    is_between: bool = False
 
 
 class GivenPath:
@@ -44,6 +45,7 @@ class GivenPath:
         self.ids: IntArray = np.array(ids, np.int64)
         self._row = {k: row for row, k in enumerate(ids)}
         self.T = np.array([given[k].T_given_cam for k in ids]).reshape(-1, 4, 4)
+        self.is_between = np.array([given[k].is_between for k in ids], np.bool_)
         self._piece = np.cumsum([given[k].is_new or k in doubted for k in ids])
         step = se3.inverse(self.T[:-1]) @ self.T[1:]
         seconds = np.diff([stamps_s[k] for k in ids])
@@ -88,6 +90,7 @@ class Comparison:
         extents: (N, 3) metres, radians and seconds on the way.
         lags: (N,) keyframes on the way.
         images: (N,) the later keyframe's row, whose image's noise all of its motions share.
+        between: (N,) at how many ends the odometry's pose is between two that came.
     """
 
     errors: FloatArray
@@ -95,6 +98,7 @@ class Comparison:
     extents: FloatArray
     lags: IntArray
     images: IntArray
+    between: IntArray
 
     @staticmethod
     def of(motions: Sequence[Link], path: GivenPath) -> "Comparison":
@@ -109,17 +113,12 @@ class Comparison:
             path.extents(pairs),
             np.abs(rows[:, 1] - rows[:, 0]),
             rows.max(axis=1),
+            path.is_between[rows].sum(axis=1),
         )
 
     def squared(self, rotation: FloatArray, translation: FloatArray) -> FloatArray:
         """Return (N,) squared errors in units of the images' noise and the odometry's, added."""
         more = np.repeat(self.extents @ np.column_stack([rotation, translation]), 3, axis=1)
-        return self._squared(self.covariances + 2.0 * _IN_TIME + more[:, :, None] * np.eye(6))
-
-    def squared_as_claimed(self) -> FloatArray:
-        """Return (N,) squared errors in units of the images' noise alone."""
-        return self._squared(self.covariances)
-
-    def _squared(self, covariances: FloatArray) -> FloatArray:
-        weights = np.linalg.inv(covariances)
+        total = self.covariances + more[:, :, None] * np.eye(6)
+        weights = np.linalg.inv(total + self.between[:, None, None] * _BETWEEN)
         return np.asarray(np.einsum("ni,nij,nj->n", self.errors, weights, self.errors))

@@ -11,6 +11,7 @@ from slam.types import FloatArray, Trajectory
 # Between two poses no further apart than so many usual steps, within these bounds, the camera is
 # taken to have moved steadily; beyond, where it was is not known.
 _USUAL_STEPS, _LEAST_GAP_S, _LARGEST_GAP_S = 3.0, 0.05, 0.5
+_SAME_TIME_S = 1e-3
 
 
 class GivenPoses:
@@ -48,6 +49,12 @@ class GivenPoses:
         first = max(min(bisect_left(self._stamps_s, timestamp_s) - 1, len(self) - 2), 0)
         poses = np.array(self._poses[first : first + 2]).reshape(-1, 4, 4)
         return Trajectory(np.array(self._stamps_s[first : first + 2]), poses)
+
+    def is_at(self, timestamp_s: float) -> bool:
+        """Whether there is one of that time, to a millisecond."""
+        around_s = self.around(timestamp_s).timestamps_s.tolist()
+        nearest = (abs(each - timestamp_s) for each in around_s)
+        return min(nearest, default=np.inf) < _SAME_TIME_S
 
     def covariance(self, start_s: float, end_s: float) -> FloatArray | None:
         """Return the (6, 6) covariance of the motion between two times, None where not all is told.

@@ -110,11 +110,13 @@ class ExternalOdometry:
         if T_given_cam is None:
             return None
         start_s, self._last_keyframe_s = self._last_keyframe_s, timestamp_s
-        return self._keyframe(start_s, timestamp_s, T_given_cam)
+        offset_s = self.time_offset_s
+        return self._keyframe(start_s + offset_s, timestamp_s + offset_s, T_given_cam)
 
     def _keyframe(self, start_s: float, end_s: float, T_given_cam: FloatArray) -> GivenKeyframe:
         is_new = any(start_s < each <= end_s for each in self._new_sessions_s)
-        return GivenKeyframe(T_given_cam, self._given.covariance(start_s, end_s), is_new)
+        covariance = self._given.covariance(start_s, end_s)
+        return GivenKeyframe(T_given_cam, covariance, is_new, not self._given.is_at(end_s))
 
     def read(
         self, tracked: Sequence[Trajectory], keyframe_s: FloatArray

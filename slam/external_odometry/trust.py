@@ -164,7 +164,7 @@ def _weigh(motions: Sequence[Link], path: GivenPath) -> tuple[Verdict, FloatArra
     if len(motions) < _MIN_COMPARED:  # most of them begin at the first image
         is_far_off = float(np.median(squared)) > _FIRST_JUMP
         return Verdict.NOISY if is_far_off else Verdict.UNKNOWN, *assumed
-    if np.median(compared.squared_as_claimed()) < _SHARED * _RIGHT_MEDIAN:
+    if np.median(squared) < _SHARED * _RIGHT_MEDIAN:
         return Verdict.SHARED, _NOTHING, _NOTHING
     spans = _spans(compared.lags)
     if all(_is_usual(squared[span], compared.images[span]) for span in spans):

@@ -87,6 +87,15 @@ def test_two_poses_are_around_a_time_or_nearest_to_it(given, time_s, first):
     np.testing.assert_array_equal(found.T_world_cam, expected.T_world_cam[first : first + 2])
 
 
+@pytest.mark.parametrize(
+    ("time_s", "expected"),
+    [(0.0, True), (0.3, True), (0.3005, True), (0.35, False), (-0.1, False), (0.502, False)],
+)
+def test_it_is_known_whether_a_pose_is_of_a_time(given, time_s, expected):
+    assert given.is_at(time_s) is expected
+    assert not GivenPoses().is_at(time_s)
+
+
 def test_before_there_is_one_any_time_is_later_than_the_last():
     assert GivenPoses().last_s == -np.inf
     assert len(GivenPoses()) == len(GivenPoses().around(0.0)) == 0

@@ -109,6 +109,12 @@ def test_poses_may_come_long_before_the_image_of_their_time(time_s):
     np.testing.assert_allclose(external.at(time_s), steady([time_s]).T_world_cam[0], atol=1e-12)
 
 
+def test_a_keyframe_is_told_whether_the_pose_is_of_its_time_or_between_two():
+    external = filled(steady([0.2, 0.3, 0.4]), OdometryConfig(time_offset_s=0.2))
+    found = [external.next_keyframe(t, external.at(t)) for t in (0.0, 0.05, 0.1)]
+    assert [each.is_between for each in found] == [False, True, False]
+
+
 @pytest.mark.parametrize("time_s", [-0.05, 0.251, 0.5])
 def test_further_than_50_ms_ahead_or_before_the_first_nothing_is_known(time_s):
     assert filled(steady([0.0, 0.1, 0.2])).at(time_s) is None
