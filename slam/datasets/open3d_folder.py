@@ -167,11 +167,11 @@ def _read_times(file: Path, numbers: list[int], warnings: list[str]) -> dict[int
 
 def _read_row(number: int, line: str, file: Path) -> tuple[int | None, str]:
     """Return (image number or None, time as written) of one line."""
-    fields = split_fields(line)
+    fields = split_fields(line) or [""]  # of nothing but commas
     named = ANY_IMAGE.fullmatch(Path(fields[0]).name)
     image = named[1] if named else fields[0]
     time = fields[0] if len(fields) == 1 else fields[1]
     image_number = as_whole_number(image) if len(fields) > 1 else None
-    if as_numbers(time) is None or (len(fields) > 1 and image_number is None):
+    if not as_numbers(time) or (len(fields) > 1 and image_number is None):
         raise SlamError(f'line {number} is neither "image time" nor "time": {line!r}: {file}')
     return image_number, time
