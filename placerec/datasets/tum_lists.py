@@ -148,6 +148,12 @@ def as_numbers(text: str) -> list[float] | None:
     return values if values and np.isfinite(values).all() else None
 
 
+def as_number(text: str) -> float | None:
+    """Return a field that is one finite number, else None."""
+    numbers = as_numbers(text)
+    return numbers[0] if numbers is not None and len(numbers) == 1 else None
+
+
 def _number_fields(text: str) -> list[str]:
     if "," in text and "." not in text and _DECIMAL_COMMAS.fullmatch(text.strip()):
         text = text.replace(",", ".")

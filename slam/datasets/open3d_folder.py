@@ -13,6 +13,7 @@ import numpy as np
 
 from placerec.datasets.times import MICROSECONDS, in_seconds
 from placerec.datasets.tum_lists import (
+    as_number,
     as_numbers,
     as_whole_number,
     is_whole,
@@ -160,7 +161,7 @@ def _read_times(file: Path, numbers: list[int], warnings: list[str]) -> dict[int
         rows = [(image, time) for image, (_, time) in zip(numbers, rows, strict=True)]
     images = [image for image, _ in rows if image is not None]
     are_whole = all(is_whole(time) for _, time in rows)
-    stamps = np.array([time for _, time in rows], np.float64)
+    stamps = np.array([as_number(time) for _, time in rows], np.float64)
     stamps_s = in_seconds(stamps, file, warnings, are_whole=are_whole)
     return dict(zip(images, stamps_s.tolist(), strict=True))
 
@@ -172,6 +173,6 @@ def _read_row(number: int, line: str, file: Path) -> tuple[int | None, str]:
     image = named[1] if named else fields[0]
     time = fields[0] if len(fields) == 1 else fields[1]
     image_number = as_whole_number(image) if len(fields) > 1 else None
-    if not as_numbers(time) or (len(fields) > 1 and image_number is None):
+    if as_number(time) is None or (len(fields) > 1 and image_number is None):
         raise SlamError(f'line {number} is neither "image time" nor "time": {line!r}: {file}')
     return image_number, time

@@ -11,7 +11,7 @@ import numpy as np
 
 from placerec.datasets.times import Clock, in_order, in_seconds
 from placerec.datasets.tum_lists import (
-    as_numbers,
+    as_number,
     is_whole,
     named_file,
     nearest,
@@ -88,7 +88,9 @@ def open_associations(path: Path, config: InputConfig) -> Sequence:
             " then there is a *.gt.freiburg in the folder; for those of another put a camera.toml"
             f" there: {file}"
         )
-    listed_s = in_seconds(np.array(stamps, np.float64), file, warnings, are_whole=are_whole)
+    listed_s = in_seconds(
+        np.array([*map(as_number, stamps)], np.float64), file, warnings, are_whole=are_whole
+    )
     kept, times_s, clock = in_order(listed_s, file, warnings)
     images = [
         ImagePair(time_s, rows[i][0][1], rows[i][1][1])
@@ -106,7 +108,7 @@ _Stamped = tuple[str, Path]
 
 def _read_association(number: int, line: str, file: Path) -> tuple[_Stamped, _Stamped]:
     fields = split_fields(line)
-    if len(fields) != 4 or as_numbers(" ".join(fields[::2])) is None:
+    if len(fields) != 4 or None in map(as_number, fields[::2]):
         raise SlamError(f'line {number} is not "time image time image": {line!r}: {file}')
     first, second = (named_file(file.parent, name) for name in fields[1::2])
     return (fields[0], first), (fields[2], second)

@@ -302,6 +302,7 @@ def test_a_missing_depth_image_is_skipped(realsense: Path, opened: Opened) -> No
         ("0,0.0\n1,soon\n", "line 2 is neither"),
         ("0,0.0\n,\n2,0.1\n", "line 2 is neither"),
         ("0.0\n,;\n0.1\n", "line 2 is neither"),
+        ("0,0.0\n1,'0.1;0.2'\n", "line 2 is neither"),
         ("0,0.0\n1,nan\n", "line 2 is neither"),
         ("0,0.0,x\n1,soon,x\n", "line 2 is neither"),
         ("0,0.0\n1\n", "some lines name an image"),

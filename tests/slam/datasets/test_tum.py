@@ -398,6 +398,7 @@ def test_without_poses_associated_images_have_no_truth(associated: Path, opened:
         ("0.1 rgb/1.png 0.1 depth/1.png 4\n", 'line 1 is not "time image time image"'),
         ("0.1 rgb/1.png soon depth/1.png\n", 'line 1 is not "time image time image"'),
         ("nan rgb/1.png 0.1 depth/1.png\n", 'line 1 is not "time image time image"'),
+        ("'0.1;0.2' rgb/1.png 0.1 depth/1.png\n", 'line 1 is not "time image time image"'),
     ],
 )
 def test_an_association_list_that_is_wrong_is_named(
