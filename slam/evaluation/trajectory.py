@@ -137,9 +137,7 @@ def align(estimate_m: FloatArray, truth_m: FloatArray) -> FloatArray:
     if len(estimate_m) == 0:
         raise SlamError("cannot align two trajectories that have no pose in common")
     centre_estimate, centre_truth = estimate_m.mean(axis=0), truth_m.mean(axis=0)
-    U, _, Vt = np.linalg.svd((truth_m - centre_truth).T @ (estimate_m - centre_estimate))
-    # The last sign keeps it a rotation where a reflection would fit better.
-    R_truth_world = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    R_truth_world = se3.rotation_between(estimate_m - centre_estimate, truth_m - centre_truth)
     return se3.from_rotation_translation(
         R_truth_world, centre_truth - R_truth_world @ centre_estimate
     )

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from slam.external_odometry.conventions import Convention
 from slam.external_odometry.given_poses import poses_between
-from slam.external_odometry.hand_eye import HandEye, misfit, rotation_between, solve_hand_eye
+from slam.external_odometry.hand_eye import HandEye, misfit, solve_hand_eye
 from slam.geometry import se3
 from slam.types import FloatArray, Trajectory
 
@@ -251,7 +251,7 @@ def _offset(motions: _Motions, body: Trajectory, about_s: float) -> float:
             return np.inf
         r_body = (turning(start_s[known]).inv() * turning(end_s[known])).as_rotvec()
         r_camera = camera[inside][known]
-        R = rotation_between(r_camera, r_body, np.ones(len(r_body)))
+        R = se3.rotation_between(r_camera, r_body)
         off = np.linalg.norm(r_body - r_camera @ R.T, axis=1)
         return float(np.minimum(off, _MOST_OFF_RAD).mean())
 

@@ -122,7 +122,7 @@ class _Motions:
             for v in (self.camera_turns, self.body_turns, self.camera_ways, self.body_ways)
         )
         weights = np.repeat([1.0, _HINT], len(a))
-        return rotation_between(np.concatenate([a, a_t]), np.concatenate([b, b_t]), weights)
+        return se3.rotation_between(np.concatenate([a, a_t]), np.concatenate([b, b_t]), weights)
 
 
 def _equations(
@@ -154,12 +154,6 @@ def _equations(
         H += np.einsum("nij,nik->jk", weighted, J)
         g += np.einsum("nij,ni->j", weighted, off)
     return H, g
-
-
-def rotation_between(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the (3, 3) rotation that best takes (N, 3) vectors a to b (Kabsch)."""
-    U, _, Vt = np.linalg.svd((b * weights[:, None]).T @ a)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
 
 
 def misfit(A: FloatArray, B: FloatArray, T_base_cam: FloatArray, scale: float) -> float:

@@ -141,3 +141,14 @@ def from_quaternion(quaternion_xyzw: FloatArray) -> FloatArray:
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_between(a: FloatArray, b: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+    """Return the (3, 3) rotation that best takes (N, 3) vectors a to b (Kabsch), by (N,) weights.
+
+    Vectors on a line leave it free in part: any of the best ones is returned.
+    """
+    weighted = b if weights is None else b * weights[:, None]
+    U, _, Vt = np.linalg.svd(weighted.T @ a)
+    # The last sign keeps it a rotation where a reflection would fit better.
+    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)

@@ -69,7 +69,7 @@ class Correction:
 
 def _mean_motion(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
     """Return the (4, 4) motion that best takes (N, 4, 4) poses to others: turning, then ways."""
-    U, _, Vt = np.linalg.svd((T_to[:, :3, :3] @ T_from[:, :3, :3].swapaxes(1, 2)).sum(axis=0))
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    axes = (T[:, :3, :3].swapaxes(1, 2).reshape(-1, 3) for T in (T_from, T_to))
+    R = se3.rotation_between(*axes)
     t = (T_to[:, :3, 3] - T_from[:, :3, 3] @ R.T).mean(axis=0)
     return se3.from_rotation_translation(R, t)

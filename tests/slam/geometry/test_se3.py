@@ -107,3 +107,16 @@ def test_sizes_of_a_stack():
 def test_transform_takes_points_from_b_to_a(T_a_b, point_b):
     expected = (T_a_b @ np.append(point_b, 1.0))[:3]
     np.testing.assert_allclose(se3.transform(T_a_b, point_b[None])[0], expected, atol=1e-12)
+
+
+def test_the_best_rotation_weighs_vectors_and_is_no_reflection():
+    rng = np.random.default_rng(2)
+    R = se3.exp(np.array([0.3, -1.2, 0.8, 0.0, 0.0, 0.0]))[:3, :3]
+    a = rng.normal(size=(20, 3))
+    b = a @ R.T
+    b[0] = [9.0, 9.0, 9.0]
+    weights = np.array([0.0, *[1.0] * 19])
+    np.testing.assert_allclose(se3.rotation_between(a, b, weights), R, atol=1e-12)
+    flat = a * [1.0, 1.0, 1e-3]
+    mirrored = flat * [1.0, 1.0, -1.0]
+    assert np.linalg.det(se3.rotation_between(flat, mirrored, np.ones(20))) == pytest.approx(1.0)
