@@ -3,7 +3,7 @@
 
 import logging
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
@@ -17,19 +17,17 @@ from slam.external_odometry.trust import Trust, Verdict
 from slam.geometry import se3
 from slam.loops.atlas import Atlas, LargestSubmap
 from slam.loops.correction import Correction
+from slam.loops.cost_of_odometry import borne_out
 from slam.loops.loop_closure import LoopCloser
-from slam.loops.submaps import NEEDED_PLACES
+from slam.loops.outcomes import in_the_end, refusals
 from slam.pose_graph import GraphSolution, PoseGraph, solve, solve_beside
 from slam.stage_clock import StageClock
 from slam.types import (
-    MIN_TRUSTED_WEIGHT,
     Camera,
     FloatArray,
     Keyframe,
     Link,
     LoopAttempt,
-    Rejection,
-    RejectionReason,
 )
 
 _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and then fewer
@@ -39,9 +37,6 @@ _LOOP_GROWTH = 0.1
 # An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
 # more as that share.
 _JUDGED_AFTER = 1
-# Of the loops that images alone would keep, an odometry may cost so many, and this share: the truth
-# of fr1_desk costs 6 of 39.
-_MAY_OUTVOTE, _MAY_OUTVOTE_SHARE = 4, 0.25
 _log = logging.getLogger(__name__)
 
 
@@ -193,7 +188,7 @@ class BackEnd:
             graph = largest.graph
             without = self._solve(replace(graph, loops={}))
         attempts = tuple(
-            _in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
+            in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
             for key, attempt in enumerate(self.attempts)
         )
         T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)
@@ -304,56 +299,3 @@ class BackEnd:
                 largest, by_images, lambda graph: solve_beside(graph, self._inlier_probability)
             )
         self.corrections.append(largest.correction(self.corrections[-1], newest_id, solution))
-
-
-def borne_out(
-    largest: LargestSubmap,
-    by_images: LargestSubmap,
-    solved: Callable[[PoseGraph], GraphSolution],
-) -> tuple[LargestSubmap, GraphSolution]:
-    """Return a submap and its solution: that by images alone, where loops bear out no other.
-
-    What slips slowly may agree with every motion over a short way. It is stiff in the graph then,
-    and loops that agree with the images and with each other are outvoted.
-    """
-    solution, trust = solved(largest.graph), largest.trust
-    if by_images is largest or trust is None:
-        return largest, solution
-    alone = solved(by_images.graph)
-    if solution.T_world_kf.keys() - alone.T_world_kf.keys():
-        return largest, solution  # only the odometry knows where some of it is
-    kept = {key for key, weight in alone.weights.items() if weight > MIN_TRUSTED_WEIGHT}
-    lost = [key for key in kept if solution.weights.get(key, 1.0) <= MIN_TRUSTED_WEIGHT]
-    if len(lost) <= max(_MAY_OUTVOTE, _MAY_OUTVOTE_SHARE * len(kept)):
-        return largest, solution
-    doubted = replace(trust, verdict=Verdict.CONTRADICTED, steps=())
-    return replace(by_images, trust=doubted), alone
-
-
-def refusals(attempts: Sequence[LoopAttempt]) -> tuple[str, ...]:
-    """Return a sentence if one reason refused more than half of the verified loops."""
-    verified = [each for each in attempts if each.motion is not None]
-    reasons = Counter(each.rejection.reason for each in verified if each.rejection)
-    for reason, count in reasons.most_common(1):
-        if 2 * count > len(verified):
-            return (
-                f"{count} of {len(verified)} loops that geometry verified are not in use, all for"
-                f" one reason: {reason}",
-            )
-    return ()
-
-
-def _in_the_end(attempt: LoopAttempt, weight: float | None, places: int | None) -> LoopAttempt:
-    """Return what the graph makes of a loop: in use, outvoted or not joined to the largest submap.
-
-    The weight is None where the graph was not given the loop; loops at so many places say where its
-    submap lies, None where that is the largest.
-    """
-    if places is not None:
-        return replace(attempt, outcome=Rejection(RejectionReason.UNJOINED, places, NEEDED_PLACES))
-    if weight is None or weight > MIN_TRUSTED_WEIGHT:
-        return replace(attempt, weight=weight)
-    outvoted = Rejection(RejectionReason.OUTVOTED, weight, MIN_TRUSTED_WEIGHT)
-    # The motion stays on record with the noise that the graph was told.
-    seen = attempt.verification and replace(attempt.verification, outcome=attempt.outcome)
-    return replace(attempt, verification=seen, outcome=outvoted, weight=weight)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.datasets.cameras import FREIBURG
-from slam.datasets.sequence import doubts_about_depth, doubts_about_intrinsics
+from slam.datasets.plausibility import doubts_about_depth, doubts_about_intrinsics
 from slam.types import Camera
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)

@@ -9,12 +9,11 @@ from placerec.errors import RecognizerError
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, LoopConfig
 from slam.external_odometry.comparison import GivenKeyframe
-from slam.external_odometry.trust import Trust, Verdict
+from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor
-from slam.loops.atlas import LargestSubmap
-from slam.loops.back_end import BackEnd, borne_out
-from slam.pose_graph import GraphSolution, PoseGraph, solve_beside
+from slam.loops.back_end import BackEnd
+from slam.pose_graph import solve_beside
 from slam.stage_clock import StageClock
 from slam.tracking.tracked_frame import preview
 from slam.types import (
@@ -28,7 +27,6 @@ from slam.types import (
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 INFORMATION = np.diag([1e6] * 3 + [1e5] * 3)
-TRUST = Trust(Verdict.BORNE_OUT, np.zeros(3), np.zeros(3), (), (), 100)
 
 
 class Gate(GradientRecognizer):
@@ -227,43 +225,6 @@ def test_an_odometry_that_slips_slowly_does_not_outvote_the_loops(keyframes):
     assert solved.steps == ()
     assert len(in_use(solved)) == len(solved.attempts) == 6
     np.testing.assert_allclose(solved.T_world_kf, np.tile(np.eye(4), (11, 1, 1)), atol=1e-3)
-
-
-def solved_as(weights, keyframes=range(12)):
-    return GraphSolution(dict.fromkeys(keyframes, np.eye(4)), weights)
-
-
-@pytest.mark.parametrize(
-    ("by_odometry", "by_images", "is_followed"),
-    [
-        (solved_as(dict.fromkeys(range(12), 1.0)), solved_as(dict.fromkeys(range(12), 1.0)), True),
-        (
-            solved_as({k: float(k > 3) for k in range(12)}),
-            solved_as(dict.fromkeys(range(12), 1.0)),
-            True,
-        ),
-        (
-            solved_as({k: float(k > 4) for k in range(12)}),
-            solved_as(dict.fromkeys(range(12), 1.0)),
-            False,
-        ),
-        (solved_as(dict.fromkeys(range(12), 0.0)), solved_as(dict.fromkeys(range(12), 0.0)), True),
-        (solved_as({0: 1.0}), solved_as(dict.fromkeys(range(1, 12), 1.0)), True),
-        (
-            solved_as(dict.fromkeys(range(12), 0.0)),
-            solved_as(dict.fromkeys(range(12), 1.0), [0]),
-            True,
-        ),
-    ],
-    ids=["none lost", "few", "many", "false ones", "of another submap", "part known by it alone"],
-)
-def test_an_odometry_is_followed_unless_it_costs_many_loops(by_odometry, by_images, is_followed):
-    largest, alone = (LargestSubmap(PoseGraph({}, (), {}), {}, {}, {}, TRUST, {}) for _ in range(2))
-    answers = iter([by_odometry, by_images])
-    found, solution = borne_out(largest, alone, lambda _: next(answers))
-    assert solution is (by_odometry if is_followed else by_images)
-    expected = Verdict.BORNE_OUT if is_followed else Verdict.CONTRADICTED
-    assert found.trust.verdict is expected
 
 
 def test_links_follow_the_odometry_that_moves_its_keyframes(keyframes):
