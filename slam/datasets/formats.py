@@ -9,15 +9,15 @@ from placerec.files import is_file, is_folder
 from slam.config import InputConfig
 from slam.datasets.bags import open_bag
 from slam.datasets.bags.bag import SUFFIXES
-from slam.datasets.icl_nuim import open_icl_nuim, open_icl_nuim_original
-from slam.datasets.open3d_folder import open_open3d, open_realsense
+from slam.datasets.folders.icl_nuim import open_icl_nuim, open_icl_nuim_original
+from slam.datasets.folders.open3d import open_open3d, open_realsense
+from slam.datasets.folders.replica import open_replica
+from slam.datasets.folders.scannet import open_scannet
+from slam.datasets.folders.seven_scenes import open_seven_scenes
+from slam.datasets.folders.tum import open_associations, open_tum
 from slam.datasets.phones.record3d import open_record3d
 from slam.datasets.phones.stray_scanner import open_stray_scanner
-from slam.datasets.replica import open_replica
-from slam.datasets.scannet import open_scannet
 from slam.datasets.sequence import Sequence
-from slam.datasets.seven_scenes import open_seven_scenes
-from slam.datasets.tum import open_associations, open_tum
 from slam.types import SlamError
 
 

@@ -30,9 +30,9 @@ from slam.datasets.cameras import (
     named_camera,
     rescaled,
 )
+from slam.datasets.folders.tum import pair_in_time
 from slam.datasets.registration import Registration
 from slam.datasets.sequence import ImagePair, Sequence
-from slam.datasets.tum import pair_in_time
 from slam.types import Camera, FloatArray, SlamError
 
 # What OpenNI's driver says of every camera: that of the benchmark's bags was calibrated later.

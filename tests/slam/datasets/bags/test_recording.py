@@ -13,8 +13,8 @@ from placerec.datasets.images import BrokenImage
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
 from slam.datasets.cameras import FREIBURG
+from slam.datasets.folders.tum import open_tum
 from slam.datasets.images import read_color, read_depth
-from slam.datasets.tum import open_tum
 from slam.geometry import se3
 from slam.types import Camera
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.datasets import Sequence, write_camera
-from slam.datasets.icl_nuim import CAMERA
+from slam.datasets.folders.icl_nuim import CAMERA
 
 Export = Callable[[str, Any], Path]
 Fails = Callable[..., str]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.datasets import Sequence, write_camera
-from slam.datasets.replica import CAMERA
+from slam.datasets.folders.replica import CAMERA
 
 Export = Callable[[str, Any], Path]
 Fails = Callable[..., str]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.datasets import Sequence, write_camera
-from slam.datasets.seven_scenes import KINECT
+from slam.datasets.folders.seven_scenes import KINECT
 from slam.demo.room import Room, render
 from slam.geometry import se3
 

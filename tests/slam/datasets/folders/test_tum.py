@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from placerec.datasets.tum_lists import read_lines
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
-from slam.datasets.tum import associate
+from slam.datasets.folders.tum import associate
 
 MakeFolder = Callable[..., Path]
 Export = Callable[[str, Any], Path]
 Fails = Callable[..., str]
 Opened = Callable[[Path], Sequence]
 CONFIG = InputConfig()
-DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[4] / "shared/data"))
+DATA = Path(os.environ.get("LOOPCLOSE_DATA", Path(__file__).parents[5] / "shared/data"))
 DESK = DATA / "rgbd_dataset_freiburg1_desk"
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
-from slam.datasets.open3d_folder import PRIMESENSE
+from slam.datasets.folders.open3d import PRIMESENSE
 from slam.types import Camera
 
 Export = Callable[[str, Any], Path]
