@@ -2,6 +2,7 @@
 """The images of several datasets under one numbering, to learn places from."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -9,12 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset
+from placerec.datasets.pose_distance import JUST_BEYOND, SAME_PLACE, pose_distance
 from placerec.errors import RecognizerError
 
 _LONGEST_PX = 384
 """Longer sides are shrunk to this, more than any network here looks at: the rest costs time."""
 _KEPT = 1024
 """Images kept decoded: those looked at to build sets are soon learned from."""
+
+
+@dataclass(frozen=True)
+class PairTruth:
+    """What is known of all pairs of n images, each an (n, n) symmetric bool matrix.
+
+    Attributes:
+        same: both show one place; every image does with itself.
+        apart: they show different places. What is neither is not known.
+        beyond: apart, but seen from just beyond where a place ends.
+    """
+
+    same: NDArray[np.bool_]
+    apart: NDArray[np.bool_]
+    beyond: NDArray[np.bool_]
 
 
 class LabelledImages:
@@ -25,6 +42,7 @@ class LabelledImages:
 
     Attributes:
         places: (N,) int64, a label per image; places of different datasets are different ones.
+            Which images are looked at is drawn by them; what a pair shows is told by `pairs`.
         scenes: (N,) int64, which dataset an image is of.
         collections: (N,) int64, which collection.
     """
@@ -89,17 +107,28 @@ class LabelledImages:
             [own[np.linspace(0, len(own) - 1, min(share, len(own))).astype(int)] for own in whole]
         )
 
-    def alike(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (n, n) bool, which pairs of n images may show one place, whatever their labels.
+    def pairs(self, indices: NDArray[np.int64]) -> PairTruth:
+        """Return what is known of all pairs of n images; those of two datasets are apart."""
+        scenes = self.scenes[indices]
+        same = np.zeros((len(indices), len(indices)), np.bool_)
+        apart, beyond = scenes[:, None] != scenes, same.copy()
+        for k in np.unique(scenes):
+            rows = np.flatnonzero(scenes == k)
+            own = _pairs_within(self._datasets[k], indices[rows] - self._starts[k])
+            within = np.ix_(rows, rows)
+            same[within], apart[within], beyond[within] = own.same, own.apart, own.beyond
+        return PairTruth(same, apart, beyond)
 
-        In one dataset these are the pairs of one place and those that its truth leaves open.
-        """
-        alike = np.zeros((len(indices), len(indices)), np.bool_)
-        for k in np.unique(self.scenes[indices]):
-            rows = np.flatnonzero(self.scenes[indices] == k)
-            own = indices[rows] - self._starts[k]
-            alike[np.ix_(rows, rows)] = _may_show_one_place(self._datasets[k])[np.ix_(own, own)]
-        return alike
+
+def _pairs_within(dataset: PlaceDataset, own: NDArray[np.int64]) -> PairTruth:
+    if dataset.positions_m is not None and dataset.quaternions is not None:
+        distance = pose_distance(dataset.positions_m[own], dataset.quaternions[own])
+        is_apart = distance >= SAME_PLACE
+        return PairTruth(~is_apart, is_apart, is_apart & (distance < JUST_BEYOND))
+    labels = _labels(dataset)[own]
+    same = labels[:, None] == labels
+    is_apart = ~same & ~_may_show_one_place(dataset)[np.ix_(own, own)]
+    return PairTruth(same, is_apart, np.zeros_like(same))
 
 
 def _may_show_one_place(dataset: PlaceDataset) -> NDArray[np.bool_]:

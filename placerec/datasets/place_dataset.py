@@ -32,6 +32,7 @@ class PlaceDataset:
         places: (N,) int64, a label per image to train with; None where only pairs are known.
         timestamps_s: (N,) float64, where they are known.
         positions_m: (N, 3) float64, true places of the camera in one world, where they are known.
+        quaternions: (N, 4) float64 x y z w of unit length, how it was turned there, likewise.
         skipped: listed images that cannot be read, not among the N.
     """
 
@@ -44,6 +45,7 @@ class PlaceDataset:
     places: NDArray[np.int64] | None = None
     timestamps_s: NDArray[np.float64] | None = None
     positions_m: NDArray[np.float64] | None = None
+    quaternions: NDArray[np.float64] | None = None
     skipped: tuple[BrokenImage, ...] = ()
 
     def __len__(self) -> int:
@@ -85,6 +87,7 @@ class PlaceDataset:
             places=None if self.places is None else self.places[keep],
             timestamps_s=None if self.timestamps_s is None else self.timestamps_s[keep],
             positions_m=None if self.positions_m is None else self.positions_m[keep],
+            quaternions=None if self.quaternions is None else self.quaternions[keep],
         )
 
 

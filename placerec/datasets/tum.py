@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
+from placerec.datasets.pose_distance import SAME_PLACE, FloatArray, pose_distance
 from placerec.datasets.times import Clock, in_order, like_images
-from placerec.datasets.tum_lists import FloatArray, nearest, read_images, read_poses
+from placerec.datasets.tum_lists import nearest, read_images, read_poses
 from placerec.errors import RecognizerError
 
 _log = logging.getLogger(__name__)
 
 _MAX_TIME_DIFFERENCE_S = 0.02
-_MAX_DISTANCE = 0.6
-"""Metres plus radians below which two frames are of the same place."""
 _MIN_GAP_S = 3.0
 """Frames closer in time are not compared: they are alike without any place being recognised."""
 STRIDE = 3
@@ -51,11 +50,12 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
         paths=recording.paths,
         queries=everyone,
         references=everyone,
-        same_place=distance < _MAX_DISTANCE,
+        same_place=distance < SAME_PLACE,
         comparable=apart_s > _MIN_GAP_S,
         places=_label(distance),
         timestamps_s=recording.timestamps_s,
         positions_m=recording.positions_m,
+        quaternions=recording.quaternions,
     )
     return keep_readable(dataset)
 
@@ -72,9 +72,10 @@ def read_tum_sessions(
     name = f"{_short_name(query_folder)}+{_short_name(reference_folder)}"
     check_images((*paths[0], *paths[1]), name)
     everywhere_m = np.concatenate(positions_m)
-    distance = pose_distance(everywhere_m, np.concatenate(quaternions))
+    turned = np.concatenate(quaternions)
+    distance = pose_distance(everywhere_m, turned)
     first = len(paths[0])
-    same_place = distance[:first, first:] < _MAX_DISTANCE
+    same_place = distance[:first, first:] < SAME_PLACE
     dataset = PlaceDataset(
         name=name,
         paths=(*paths[0], *paths[1]),
@@ -85,6 +86,7 @@ def read_tum_sessions(
         places=_label(distance),
         timestamps_s=np.concatenate(timestamps_s),
         positions_m=everywhere_m,
+        quaternions=turned,
     )
     return keep_readable(dataset)
 
@@ -125,19 +127,6 @@ def _short_name(folder: Path) -> str:
     return folder.resolve().name.replace("rgbd_dataset_freiburg", "fr")
 
 
-def pose_distance(positions_m: FloatArray, quaternions: FloatArray) -> FloatArray:
-    """Return the (N, N) distances of eq. 10: metres plus radians of T_i^-1 T_j.
-
-    Args:
-        positions_m: (N, 3) of the camera.
-        quaternions: (N, 4) x y z w, unit length.
-    """
-    # Row by row: the differences of all pairs at once would take three times the memory.
-    metres = np.array([np.linalg.norm(each - positions_m, axis=1) for each in positions_m])
-    half_cosines = np.minimum(np.abs(quaternions @ quaternions.T), 1.0)
-    return np.asarray(metres + 2.0 * np.arccos(half_cosines))
-
-
 def _label(distance: FloatArray) -> NDArray[np.int64]:
     """Return labels such that any two frames of a label are of the same place.
 
@@ -147,7 +136,7 @@ def _label(distance: FloatArray) -> NDArray[np.int64]:
     labels = np.full(len(distance), -1)
     for i, row in enumerate(distance):
         if labels[i] < 0:
-            labels[(labels < 0) & (row < _MAX_DISTANCE / 2.0)] = labels.max() + 1
+            labels[(labels < 0) & (row < SAME_PLACE / 2.0)] = labels.max() + 1
     return labels
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.datasets.labelled_images import PairTruth
 from placerec.errors import RecognizerError
 
 GAMMA_PRIME = 0.4
@@ -54,52 +55,51 @@ class SetRules:
 
 def build_image_sets(
     features: NDArray[np.float32],
-    places: Indices,
+    truth: PairTruth,
     rng: np.random.Generator,
     rules: SetRules | None = None,
     anchors: Indices | None = None,
-    alike: BoolMatrix | None = None,
 ) -> ImageSets:
     """Return the sets that the present features call for, in the order of the anchors.
 
-    Algorithm 1, grouped by place: all images of a place share one centre and one row of distances.
+    Algorithm 1, where an anchor's place is all images of which the truth says so. Where it comes
+    from poses these reach as far as eq. 10 does, in every direction. Each negative of a set is
+    known to be apart from each of its positives.
+
+    Of the confused images up to half the negatives are from just beyond the place, where there are
+    such: that is where a network errs last.
 
     Args:
         features: (n, D) float32, unit length.
-        places: (n,) int64, a label per image.
+        truth: of the n images.
         rng: what all draws come from.
         rules: margins and sizes; default: the paper's.
         anchors: (M,) int64, the images i that line 2 goes through; default: all n.
-        alike: (n, n) bool, pairs that may show one place whatever their labels say, as places
-            next to each other do: an image alike to one of a place is never a negative of it, and
-            two negatives of a set are alike only where there are not enough others.
 
     Raises:
-        RecognizerError: a feature is not finite, or there are too few places for a set.
+        RecognizerError: a feature is not finite, or the truth is of another number of images.
     """
-    rules, count = rules or SetRules(), len(places)
-    _check(features, places, rules)
+    rules, count = rules or SetRules(), len(features)
+    _check(features, truth)
     anchors = np.arange(count) if anchors is None else anchors
-    alike = np.broadcast_to(np.False_, (count, count)) if alike is None else alike
-    found: dict[int, tuple[Indices, Indices]] = {}
-    for own, distances, members in _by_place(features, places, anchors):
-        spread = own[distances[own] > rules.gamma]
-        unlike = np.flatnonzero((places != places[own[0]]) & ~alike[own].any(axis=0))
-        if len(np.unique(places[unlike])) < rules.negatives:
-            continue  # hemmed in by places alike: no set can be completed
-        confused = unlike[distances[unlike] < rules.gamma_prime]
-        for i in members:
-            negatives = _draw_places(confused, places, rules.negatives, rng, alike)  # 7, 9-11
-            positives = rng.permutation(spread[spread != anchors[i]])[: rules.positives]  # 6, 15-17
-            if len(negatives) == 0 and len(positives) == 0:
-                continue  # neither line 12 nor line 18 holds: there is nothing to learn here
-            positives = _fill_positives(positives, own, rules.positives, rng)
-            if missing := rules.negatives - len(negatives):  # 12-14
-                unused = unlike[~np.isin(places[unlike], places[negatives])]
-                added = _draw_places(unused, places, missing, rng, alike, negatives.tolist())
-                negatives = np.concatenate([negatives, added])
-            found[int(i)] = positives, negatives
-    chosen = [found[i] for i in sorted(found)]
+    chosen: list[tuple[Indices, Indices]] = []
+    for i, distances in _distances_to_centres(features, truth.same, anchors):
+        own, different = np.flatnonzero(truth.same[i]), np.flatnonzero(truth.apart[i])
+        spread = own[(distances[own] > rules.gamma) & (own != i)]
+        confused = different[distances[different] < rules.gamma_prime]
+        if len(spread) == 0 and len(confused) == 0:
+            continue  # neither line 12 nor line 18 holds: there is nothing to learn here
+        just_beyond = rng.permutation(confused[truth.beyond[i, confused]])
+        own, neighbours = _choose_neighbours(own, just_beyond, truth.apart, rules)
+        spread = spread[np.isin(spread, own)]
+        positives = _fill_positives(rng.permutation(spread), own, rules.positives, rng)  # 6, 15-20
+        pools = [
+            rng.permutation(pool[truth.apart[np.ix_(pool, positives)].all(axis=1)])
+            for pool in (confused, different)
+        ]
+        negatives = _fill_negatives(neighbours, pools, truth, rules.negatives)  # 7, 9-14
+        if len(negatives) == rules.negatives:  # else hemmed in by what may be the same place
+            chosen.append((positives, negatives))
     return ImageSets(
         np.array([p for p, _ in chosen], np.int64).reshape(-1, rules.positives),
         np.array([n for _, n in chosen], np.int64).reshape(-1, rules.negatives),
@@ -146,42 +146,24 @@ def sample_scenes(
     return np.flatnonzero(np.isin(places, chosen))
 
 
-def _check(features: NDArray[np.float32], places: Indices, rules: SetRules) -> None:
-    if len(features) != len(places):
-        raise RecognizerError(f"{len(features)} features for {len(places)} place labels")
-    count = len(np.unique(places))
-    if count <= rules.negatives:
-        raise RecognizerError(
-            f"the images show {count} places, and {rules.negatives + 1} are needed: a set is one "
-            f"place and {rules.negatives} others; give more places or ask for fewer negatives"
-        )
+def _check(features: NDArray[np.float32], truth: PairTruth) -> None:
+    if len(features) != len(truth.same):
+        raise RecognizerError(f"{len(features)} features, and a truth of {len(truth.same)} images")
     bad = np.count_nonzero(~np.isfinite(features).all(axis=1))
     if bad:
         raise RecognizerError(f"the features of {bad} of {len(features)} images are NaN or inf")
 
 
-def _by_place(
-    features: NDArray[np.float32], places: Indices, anchors: Indices
-) -> Iterator[tuple[Indices, NDArray[np.float32], Indices]]:
-    """Yield for each place of an anchor what its images share.
-
-    Yields:
-        the place's images; (n,) squared distances of all images to its centre; which anchors
-        are of the place.
-    """
-    labels, of_anchor = np.unique(places[anchors], return_inverse=True)
-    order = np.argsort(places, kind="stable")
-    bounds = np.searchsorted(places[order], labels), np.searchsorted(places[order], labels, "right")
-    own = [order[start:stop] for start, stop in zip(*bounds, strict=True)]
-    centres = np.array([features[images].mean(axis=0) for images in own])
-    members = np.split(np.argsort(of_anchor, kind="stable"), np.bincount(of_anchor).cumsum()[:-1])
+def _distances_to_centres(
+    features: NDArray[np.float32], same: BoolMatrix, anchors: Indices
+) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Yield each anchor and the (n,) squared distances of all images to its place's centre."""
     lengths = np.einsum("id,id->i", features, features)
-    for start in range(0, len(centres), _BLOCK):
-        block = centres[start : start + _BLOCK]
-        products = block @ features.T
-        squares = np.einsum("pd,pd->p", block, block)[:, None] + lengths - 2.0 * products
-        for k, distances in enumerate(squares, start):
-            yield own[k], distances, members[k]
+    for start in range(0, len(anchors), _BLOCK):
+        block = anchors[start : start + _BLOCK]
+        centres = np.array([features[same[i]].mean(axis=0) for i in block])
+        squares = np.einsum("pd,pd->p", centres, centres)[:, None] + lengths
+        yield from zip(block.tolist(), squares - 2.0 * centres @ features.T, strict=True)
 
 
 def _draw_of_each(
@@ -194,33 +176,61 @@ def _draw_of_each(
     return images[order][np.arange(len(images)) - np.repeat(first, counts) < count]
 
 
-def _draw_places(
-    candidates: Indices,
-    places: Indices,
-    count: int,
-    rng: np.random.Generator,
-    alike: BoolMatrix,
-    beside: Sequence[int] = (),
-) -> Indices:
-    """Return up to so many candidates in random order, no two of one place.
+def _choose_neighbours(
+    own: Indices, just_beyond: Indices, apart: BoolMatrix, rules: SetRules
+) -> tuple[Indices, list[int]]:
+    """Return those images of a place that go with some from just beyond it, and these.
 
-    First come those that are alike neither to each other nor to what they are to stand beside.
+    What is just beyond a place on one side is of one place with what is within it on that side: the
+    neighbours are chosen first, as long as half of the place is apart from them.
     """
-    shuffled = rng.permutation(candidates)
-    _, first = np.unique(places[shuffled], return_index=True)
-    apart: list[int] = []
-    rest: list[int] = []
-    for image in shuffled[np.sort(first)].tolist():
-        if len(apart) == count:
+    enough = max(min(rules.positives, len(own)), -(-len(own) // 2))
+    neighbours: list[int] = []
+    for image in just_beyond.tolist():
+        if len(neighbours) == rules.negatives // 2:
             break
-        (rest if alike[image, [*beside, *apart]].any() else apart).append(image)
-    return np.array((apart + rest)[:count], np.int64)
+        left = own[apart[image, own]]
+        if apart[image, neighbours].all() and len(left) >= enough:
+            own = left
+            neighbours.append(image)
+    return own, neighbours
+
+
+def _fill_negatives(
+    neighbours: list[int], pools: Sequence[Indices], truth: PairTruth, count: int
+) -> Indices:
+    """Return the neighbours and, up to a count in all, negatives of the first pool, then the next.
+
+    Two of which it is not known whether they show one place stand together only where there are not
+    enough others; two of one place never.
+    """
+    chosen = neighbours
+    for compatible in (truth.apart, ~truth.same):
+        for pool in pools:
+            chosen = _add_compatible(chosen, pool, compatible, count)
+    return np.array(chosen, np.int64)
+
+
+def _add_compatible(
+    chosen: list[int], candidates: Indices, compatible: BoolMatrix, count: int
+) -> list[int]:
+    """Return the chosen and, up to a count in all, the first candidates that fit to all others."""
+    together = list(chosen)
+    fits: BoolMatrix = np.all(compatible[:, together], axis=1)
+    for image in candidates.tolist():
+        if len(together) == count:
+            break
+        if fits[image]:
+            together.append(image)
+            fits = fits & compatible[image]
+    return together
 
 
 def _fill_positives(
-    positives: Indices, own: Indices, count: int, rng: np.random.Generator
+    shuffled: Indices, own: Indices, count: int, rng: np.random.Generator
 ) -> Indices:
-    """Add images of the same place, copies only where it has no more (lines 18-20)."""
+    """Add to the first ones images of the same place, copies only where it has no more (18-20)."""
+    positives = shuffled[:count]
     unused = rng.permutation(np.setdiff1d(own, positives))[: count - len(positives)]
     copies = rng.choice(own, count - len(positives) - len(unused))
     return np.concatenate([positives, unused, copies])

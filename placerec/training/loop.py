@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
@@ -141,16 +142,25 @@ class Training:
         )
         seen = visited[sample_images(self._places[visited], config.images_per_place, rng)]
         places = self._places[seen]
+        self._refuse_too_few(places)
         try:
             features = self._learner.embed(seen, self._progress)
         except KeyboardInterrupt:  # may come from progress; all is still as after the last step
             self._save()
             raise
         anchors = rng.permutation(sample_images(places, 1, rng))
-        alike = self._images.alike(seen)
-        sets = build_image_sets(features, places, rng, config.rules, anchors, alike)
+        truth = self._images.pairs(seen)
+        sets = build_image_sets(features, truth, rng, config.rules, anchors)
         self._sets = ImageSets(seen[sets.positives], seen[sets.negatives])
         self._used, self._round = 0, self._round + 1
+
+    def _refuse_too_few(self, places: NDArray[np.int64]) -> None:
+        count, others = len(np.unique(places)), self._config.rules.negatives
+        if count <= others:
+            raise RecognizerError(
+                f"the images show {count} places, and {others + 1} are needed: a set is one place "
+                f"and {others} others; give more places or ask for fewer negatives"
+            )
 
     def _learn(self) -> StepRecord:
         before_s = self._elapsed_s

@@ -51,14 +51,34 @@ def test_same_image_twice_is_refused(recording):
         LabelledImages([first, replace(first, name="again")])
 
 
-def test_scenes_are_the_datasets_and_only_open_or_same_pairs_are_alike(recording):
+def test_open_pairs_are_neither_the_same_nor_apart_and_datasets_are_apart(recording):
     first, second = recording("a", [0, 0, 1], 0), recording("b", [0, 1], 10)
     unknown = first.comparable.copy()
     unknown[1, 2] = unknown[2, 1] = False
     both = LabelledImages([replace(first, comparable=unknown), second])
     np.testing.assert_array_equal(both.scenes, [0, 0, 0, 1, 1])
-    expected = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 1, 1]]
-    np.testing.assert_array_equal(both.alike(np.array([3, 4, 1, 2])), expected)
+    truth = both.pairs(np.array([3, 4, 1, 2, 0]))
+    same = np.equal.outer([9, 8, 0, 1, 0], [9, 8, 0, 1, 0])
+    np.testing.assert_array_equal(truth.same, same)
+    apart = ~same
+    apart[2, 3] = apart[3, 2] = False
+    np.testing.assert_array_equal(truth.apart, apart)
+    assert not truth.beyond.any()
+
+
+def test_poses_say_which_pairs_are_the_same_whatever_labels_and_times_say(recording):
+    posed = replace(
+        recording("a", [0, 1, 1, 2], 0),
+        comparable=np.zeros((4, 4), bool),  # all taken within moments
+        positions_m=np.array([[0.0, 0, 0], [0.5, 0, 0], [0.9, 0, 0], [2.0, 0, 0]]),
+        quaternions=np.tile([0.0, 0, 0, 1], (4, 1)),
+    )
+    truth = LabelledImages([posed]).pairs(np.arange(4))
+    np.testing.assert_array_equal(
+        truth.same, [[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 1]]
+    )
+    np.testing.assert_array_equal(truth.apart, ~truth.same)
+    assert np.argwhere(truth.beyond).tolist() == [[0, 2], [2, 0]]
 
 
 def test_collections_are_told_apart_and_spread_over_evenly(recording):

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from placerec.datasets.labelled_images import PairTruth
 from placerec.errors import RecognizerError
 from placerec.training.image_sets import SetRules, build_image_sets, sample_images, sample_scenes
 
@@ -11,6 +12,17 @@ from placerec.training.image_sets import SetRules, build_image_sets, sample_imag
 def _at(*angles_rad):
     """Return features on the unit circle; neighbours 0.3 rad apart are 0.09 apart squared."""
     return np.array([[np.cos(a), np.sin(a)] for a in angles_rad], np.float32)
+
+
+def _by_labels(places):
+    same = np.equal.outer(places, places)
+    return PairTruth(same, ~same, np.zeros_like(same))
+
+
+def _by_position(positions_m, limit=0.6, beyond=1.0):
+    distance = np.abs(np.subtract.outer(positions_m, positions_m))
+    apart = distance >= limit
+    return PairTruth(~apart, apart, apart & (distance < beyond))
 
 
 def _rng(seed=0):
@@ -31,7 +43,7 @@ FAR = _at(*(a + d for a in np.arange(6) * (np.pi / 3) for d in (0.0, 0.01)))
 
 
 def test_nothing_to_learn_makes_no_set():
-    sets = build_image_sets(FAR, FAR_PLACES, _rng())
+    sets = build_image_sets(FAR, _by_labels(FAR_PLACES), _rng())
     assert len(sets) == 0
     assert sets.positives.shape == (0, 4)
     assert sets.negatives.shape == (0, 4)
@@ -41,14 +53,18 @@ def test_spread_place_without_confusion_takes_negatives_anywhere():
     # Lines 12-13, second half: X_tem^n is empty, X_tem^p is not.
     places = np.array([0, 0, 1, 2, 3, 4, 5])
     features = _at(-0.6, 0.6, np.pi, np.pi, np.pi, np.pi, np.pi)
-    sets = build_image_sets(features, places, _rng(), anchors=np.array([0]))
+    sets = build_image_sets(features, _by_labels(places), _rng(), anchors=np.array([0]))
     assert len(sets) == 1
     assert set(sets.positives[0]) == {0, 1}
     assert sets.positives[0][0] == 1  # what was mined comes first; the anchor only as a copy
     negatives = sets.negatives[0]
     assert len(set(places[negatives])) == 4
     assert 0 not in places[negatives]
-    seen = {n for s in range(50) for n in build_image_sets(features, places, _rng(s)).negatives[0]}
+    seen = {
+        n
+        for s in range(50)
+        for n in build_image_sets(features, _by_labels(places), _rng(s)).negatives[0]
+    }
     assert seen == {2, 3, 4, 5, 6}
 
 
@@ -56,7 +72,7 @@ def test_confused_place_that_is_tight_copies_its_own_images():
     # Line 18, second half: X_tem^p is empty, X_tem^n is not. One image is confused, four needed.
     places = np.array([0, 0, 1, 2, 3, 4, 5])
     features = _at(0.0, 0.01, 0.02, np.pi, np.pi, np.pi, np.pi)
-    sets = build_image_sets(features, places, _rng(), anchors=np.array([0]))
+    sets = build_image_sets(features, _by_labels(places), _rng(), anchors=np.array([0]))
     assert set(sets.positives[0]) == {0, 1}
     assert len(sets.positives[0]) == 4
     assert sets.negatives[0][0] == 2
@@ -68,7 +84,11 @@ def test_too_many_positives_are_drawn_from_at_random():
     features = _at(*np.linspace(-1.5, 1.5, 8), np.pi, np.pi, np.pi, np.pi)
     # All eight but none within sqrt(0.1) of the centre: which four is up to the seed.
     drawn = [
-        tuple(build_image_sets(features, places, _rng(s), anchors=np.array([7])).positives[0])
+        tuple(
+            build_image_sets(
+                features, _by_labels(places), _rng(s), anchors=np.array([7])
+            ).positives[0]
+        )
         for s in range(30)
     ]
     assert all(len(set(four)) == 4 and 7 not in four for four in drawn)
@@ -78,7 +98,7 @@ def test_too_many_positives_are_drawn_from_at_random():
 def test_too_few_positives_are_topped_up_from_the_same_place():
     places = np.array([0, 0, 0, 0, 0, 1, 2, 3, 4])
     features = _at(0.0, 0.0, 0.0, 0.0, 1.0, np.pi, np.pi, np.pi, np.pi)
-    sets = build_image_sets(features, places, _rng(), anchors=np.array([0]))
+    sets = build_image_sets(features, _by_labels(places), _rng(), anchors=np.array([0]))
     assert sets.positives[0][0] == 4  # the only one beyond gamma
     assert set(sets.positives[0]) <= {0, 1, 2, 3, 4}
     assert len(set(sets.positives[0])) == 4  # no copy as long as there are other images
@@ -88,7 +108,11 @@ def test_too_many_confused_places_are_drawn_from_at_random():
     places = np.repeat(np.arange(9), 2)
     features = _at(*np.linspace(0.0, 0.1, 18))
     drawn = [
-        tuple(build_image_sets(features, places, _rng(s), anchors=np.array([0])).negatives[0])
+        tuple(
+            build_image_sets(
+                features, _by_labels(places), _rng(s), anchors=np.array([0])
+            ).negatives[0]
+        )
         for s in range(30)
     ]
     assert all(len(set(places[list(four)]) - {0}) == 4 for four in drawn)
@@ -98,7 +122,7 @@ def test_too_many_confused_places_are_drawn_from_at_random():
 def test_place_with_one_image_that_looks_like_another_is_its_own_copies():
     places = np.arange(6)
     features = _at(0.0, 0.1, *np.full(4, np.pi))
-    sets = build_image_sets(features, places, _rng(), anchors=np.array([0]))
+    sets = build_image_sets(features, _by_labels(places), _rng(), anchors=np.array([0]))
     np.testing.assert_array_equal(sets.positives, [[0, 0, 0, 0]])
     assert 1 in sets.negatives[0]
 
@@ -108,12 +132,12 @@ def test_gammas_are_strict_bounds_of_squared_distances_to_the_centre():
     # The centre is (1, 0): both positives are 0.25 from it, the negatives 1, 4 and 9 / 4.
     features = np.array([[1, 0.5], [1, -0.5], [1, 1], [1, 2], [1, 1.5]], np.float32)
     rules = SetRules(gamma=0.25, gamma_prime=1.0, positives=1, negatives=2)
-    assert len(build_image_sets(features, places, _rng(), rules, np.array([0]))) == 0
+    assert len(build_image_sets(features, _by_labels(places), _rng(), rules, np.array([0]))) == 0
     looser = SetRules(gamma=0.24, gamma_prime=1.0, positives=1, negatives=2)
-    sets = build_image_sets(features, places, _rng(), looser, np.array([0]))
+    sets = build_image_sets(features, _by_labels(places), _rng(), looser, np.array([0]))
     np.testing.assert_array_equal(sets.positives, [[1]])
     looser = SetRules(gamma=0.25, gamma_prime=1.01, positives=1, negatives=2)
-    sets = build_image_sets(features, places, _rng(), looser, np.array([0]))
+    sets = build_image_sets(features, _by_labels(places), _rng(), looser, np.array([0]))
     assert sets.negatives[0][0] == 2
 
 
@@ -142,7 +166,7 @@ def _literal(features, places, rules):
 def test_sets_are_those_of_the_paper_written_out(seed, count, dimension, gamma, gamma_prime):
     features, places = _scattered(count, 6, dimension, seed)
     rules = SetRules(gamma, gamma_prime)
-    sets = build_image_sets(features, places, _rng(seed), rules)
+    sets = build_image_sets(features, _by_labels(places), _rng(seed), rules)
     mined = list(_literal(features, places, rules))
     expected = [i for i, (near, far) in enumerate(mined) if near or far]
     assert len(sets) == len(expected)
@@ -156,9 +180,9 @@ def test_sets_are_those_of_the_paper_written_out(seed, count, dimension, gamma, 
 
 def test_same_seed_same_sets_and_labels_need_no_order():
     features, places = _scattered(60, 8, 4, seed=5)
-    first = build_image_sets(features, places, _rng(1))
-    again = build_image_sets(features, places * 10 - 3, _rng(1))
-    other = build_image_sets(features, places, _rng(2))
+    first = build_image_sets(features, _by_labels(places), _rng(1))
+    again = build_image_sets(features, _by_labels(places * 10 - 3), _rng(1))
+    other = build_image_sets(features, _by_labels(places), _rng(2))
     np.testing.assert_array_equal(first.negatives, again.negatives)
     np.testing.assert_array_equal(first.positives, again.positives)
     assert (first.negatives != other.negatives).any()
@@ -167,22 +191,17 @@ def test_same_seed_same_sets_and_labels_need_no_order():
 def test_anchors_pick_the_rows_in_their_order():
     features, places = _scattered(300, 300, 3, seed=6)
     anchors = np.array([250, 3, 77, 3])
-    sets = build_image_sets(features, places, _rng(), anchors=anchors)
+    sets = build_image_sets(features, _by_labels(places), _rng(), anchors=anchors)
     np.testing.assert_array_equal(sets.positives[:, 0], anchors)
-
-
-def test_too_few_places_for_a_set_are_refused():
-    with pytest.raises(RecognizerError, match="show 4 places, and 5 are needed"):
-        build_image_sets(FAR[:8], FAR_PLACES[:8], _rng())
 
 
 def test_features_that_are_not_finite_are_refused():
     features = FAR.copy()
     features[3] = np.nan
     with pytest.raises(RecognizerError, match="1 of 12 images"):
-        build_image_sets(features, FAR_PLACES, _rng())
-    with pytest.raises(RecognizerError, match="12 features for 11"):
-        build_image_sets(FAR, FAR_PLACES[:11], _rng())
+        build_image_sets(features, _by_labels(FAR_PLACES), _rng())
+    with pytest.raises(RecognizerError, match="12 features, and a truth of 11"):
+        build_image_sets(FAR, _by_labels(FAR_PLACES[:11]), _rng())
 
 
 def test_sample_takes_some_of_each_place_and_all_of_small_ones():
@@ -199,22 +218,76 @@ def test_places_that_may_be_one_are_no_negatives():
     # Place 1 is confused with place 0, but one of its images may show place 0.
     places = np.array([0, 0, 1, 1, 2, 3, 4, 5])
     features = _at(0.0, 0.01, 0.02, 0.03, np.pi, np.pi, np.pi, np.pi)
-    alike = np.zeros((8, 8), bool)
-    alike[0, 2] = alike[2, 0] = True
+    truth = _by_labels(places)
+    truth.apart[0, 2] = truth.apart[2, 0] = False
     anchors = np.array([0])
-    plain = build_image_sets(features, places, _rng(), anchors=anchors)
-    kept = build_image_sets(features, places, _rng(), anchors=anchors, alike=alike)
+    plain = build_image_sets(features, _by_labels(places), _rng(), anchors=anchors)
+    kept = build_image_sets(features, truth, _rng(), anchors=anchors)
     assert set(plain.negatives[0]) & {2, 3}
     assert kept.negatives[0][0] == 3  # still confused, and surely of another place
     assert 2 not in kept.negatives[0]
 
 
-def test_place_hemmed_in_by_alike_ones_makes_no_set():
+def test_place_hemmed_in_by_what_may_be_the_same_makes_no_set():
     places = np.array([0, 0, 1, 2, 3, 4])
     features = _at(0.0, 0.9, 0.02, np.pi, np.pi, np.pi)
-    alike = np.zeros((6, 6), bool)
-    alike[0, 2] = alike[2, 0] = True
-    assert len(build_image_sets(features, places, _rng(), anchors=np.array([0]), alike=alike)) == 0
+    truth = _by_labels(places)
+    truth.apart[0, 2] = truth.apart[2, 0] = False
+    assert len(build_image_sets(features, truth, _rng(), anchors=np.array([0]))) == 0
+
+
+def test_negatives_that_may_be_one_place_stand_in_one_set_only_where_there_are_no_others():
+    rng = _rng()
+    features, _ = _scattered(40, 20, 8, seed=3)
+    places = np.repeat(np.arange(20), 2)
+    rooms = places // 3
+    truth = _by_labels(places)
+    truth.apart[rooms[:, None] == rooms] = False
+    for rules in (SetRules(), SetRules(gamma_prime=4.0)):  # filled up at random, and all confused
+        sets = build_image_sets(features, truth, rng, rules)
+        assert len(sets) > 30
+        assert all(len(set(rooms[row])) == 4 for row in sets.negatives)
+
+    def of_the_first(count):
+        return PairTruth(*(m[:count, :count] for m in (truth.same, truth.apart, truth.beyond)))
+
+    # Three others of the other room alone: four cannot be had.
+    assert len(build_image_sets(features[:12], of_the_first(12), rng)) == 0
+    some = build_image_sets(features[:14], of_the_first(14), rng)
+    assert len(some) > 0
+    assert all(len(set(places[row])) == 4 for row in some.negatives)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(20, 60))
+def test_a_set_says_only_what_poses_say(seed, count):
+    rng = _rng(seed)
+    positions_m = rng.uniform(0.0, 6.0, count)
+    features, _ = _scattered(count, count, 4, seed)
+    truth = _by_position(positions_m)
+    anchors = np.arange(count)
+    sets = build_image_sets(features, truth, rng, SetRules(gamma_prime=4.0), anchors)
+    assert len(sets) > 0
+    for positives, negatives in zip(sets.positives, sets.negatives, strict=True):
+        assert truth.same[:, positives].all(axis=1).any()  # one anchor has all of them around it
+        assert truth.apart[np.ix_(positives, negatives)].all()
+        assert truth.apart[np.ix_(negatives, negatives)].sum() == 12  # each from three others
+
+
+def test_positives_reach_as_far_as_a_place_does_and_negatives_begin_just_beyond():
+    positions_m = np.concatenate([np.linspace(-0.55, 0.55, 23), [0.7, -0.7, 5, 6, 7, 8, 9, 10]])
+    anchor = np.array([11])
+    assert positions_m[11] == 0.0
+    features, _ = _scattered(len(positions_m), len(positions_m), 8, seed=1)
+    truth, rules = _by_position(positions_m), SetRules(gamma_prime=4.0)
+    reached, borders = [], 0
+    for seed in range(60):
+        sets = build_image_sets(features, truth, _rng(seed), rules, anchor)
+        reached.extend(np.abs(positions_m[sets.positives[0]]))
+        borders += np.isin([23, 24], sets.negatives[0]).sum()
+        assert not set(sets.negatives[0][2:]) & {23, 24}  # at most half of them are neighbours
+    assert max(reached) == pytest.approx(0.55)
+    assert borders == 60  # one in each; with both, only its middle would be left of the place
 
 
 def test_scenes_are_drawn_with_all_images_of_some_of_their_places():
@@ -247,21 +320,3 @@ def test_collections_have_the_same_chance_however_large_they_are(count, share_of
     visits = np.bincount(np.concatenate(drawn), minlength=20) / (400.0 * count)
     assert visits[18:].sum() == pytest.approx(share_of_small, abs=0.07)
     assert visits[18:].min() > 0.15 and visits[:18].min() > 0
-
-
-def test_negatives_that_are_alike_stand_in_one_set_only_where_there_are_no_others():
-    rng = _rng()
-    features = rng.normal(size=(40, 8)).astype(np.float32)
-    features /= np.linalg.norm(features, axis=1, keepdims=True)
-    places = np.repeat(np.arange(20), 2)
-    rooms = places // 3
-    alike = (rooms[:, None] == rooms) & (places[:, None] != places)
-    for rules in (SetRules(), SetRules(gamma_prime=4.0)):  # filled up at random, and all confused
-        sets = build_image_sets(features, places, rng, rules, alike=alike)
-        assert len(sets) > 30
-        assert all(len(set(rooms[row])) == 4 for row in sets.negatives)
-    few = build_image_sets(features[:12], places[:12], rng, alike=alike[:12, :12])
-    assert len(few) == 0  # three others of the other room alone: four cannot be had
-    some = build_image_sets(features[:14], places[:14], rng, alike=alike[:14, :14])
-    assert len(some) > 0
-    assert all(len(set(places[row])) == 4 for row in some.negatives)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import torch
 from torch import nn
 
+from placerec.datasets.labelled_images import PairTruth
 from placerec.errors import LoopcloseError, RecognizerError
 from placerec.networks import PlaceNetwork, Preprocessing, Trunk
 from placerec.networks.whitening import whiten
@@ -52,8 +54,9 @@ class Boards:
             view = large[dy : dy + 24, dx : dx + 30] * rng.uniform(0.8, 1.2)
             self._views.append(np.clip(view, 0, 255).astype(np.uint8))
 
-    def alike(self, indices):
-        return self.places[indices, None] == self.places[indices]
+    def pairs(self, indices):
+        same = self.places[indices, None] == self.places[indices]
+        return PairTruth(same, ~same, np.zeros_like(same))
 
     def __getitem__(self, index):
         self.reads += 1
@@ -294,9 +297,10 @@ def test_one_scene_without_sets_is_not_the_end(tmp_path):
     class TwinsInOddScene(Boards):
         """Boards of scene 1 are all alike, so that nothing there is a negative of anything."""
 
-        def alike(self, indices):
+        def pairs(self, indices):
             odd = self.scenes[indices] == 1
-            return super().alike(indices) | (odd[:, None] & odd)
+            truth = super().pairs(indices)
+            return replace(truth, apart=truth.apart & ~(odd[:, None] & odd))
 
     config = {"scenes_per_round": 1, "batch_sets": 50, "gamma_prime": 4.0}
     training, records = _train(tmp_path / "run", TwinsInOddScene(), max_steps=3, seed=1, **config)
