@@ -55,8 +55,8 @@ def swing(
 
 
 Image = NDArray[np.uint8]
-Views = Iterable[tuple[float, Image, FloatArray]]
-"""(seconds, (H, W, 3) image, T_world_cam) each."""
+Views = Iterable[tuple[float, Image, FloatArray, int | None]]
+"""(seconds, (H, W, 3) image, T_world_cam, which place it is meant to show) each."""
 
 
 def as_cheap_cameras_see(image: Image, rng: np.random.Generator) -> Image:
@@ -77,13 +77,17 @@ def write_folder(folder: Path, views: Views) -> None:
     unfinished = folder.with_name(f".{folder.name}")
     shutil.rmtree(unfinished, ignore_errors=True)
     (unfinished / "rgb").mkdir(parents=True)
-    frames, truth = [], []
-    for time_s, image, T_world_cam in views:
+    frames, truth, places = [], [], []
+    for time_s, image, T_world_cam, place in views:
         stamp = f"{time_s:.6f}"
         cv2.imwrite(str(unfinished / "rgb" / f"{stamp}.png"), image[..., ::-1])
         frames.append(f"{stamp} rgb/{stamp}.png\n")
         values = (*T_world_cam[:3, 3], *to_quaternion(T_world_cam[:3, :3]))
         truth.append(f"{stamp} {' '.join(f'{value:.6f}' for value in values)}\n")
+        if place is not None:
+            places.append(f"{stamp} {place}\n")
+    if places:
+        (unfinished / "places.txt").write_text("".join(places))
     (unfinished / "rgb.txt").write_text("".join(frames))
     (unfinished / "groundtruth.txt").write_text("".join(truth))
     unfinished.rename(folder)

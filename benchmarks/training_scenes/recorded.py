@@ -109,7 +109,8 @@ class RecordedPlace:
                 photograph = photographs[int(rng.integers(len(photographs)))]
                 image, share = self.look(view, photograph)
                 if share >= LEAST_SEEN:
-                    yield 100.0 + number * SECONDS_APART, as_cheap_cameras_see(image, rng), view
+                    seen = as_cheap_cameras_see(image, rng)
+                    yield 100.0 + number * SECONDS_APART, seen, view, len(places) - 1
                     number += 1
             if len(places) == PLACES:
                 return
@@ -124,7 +125,7 @@ class RecordedPlace:
             T = self.aim(where)
             image, share = self.look(T, photograph)
             if share >= LEAST_SEEN:
-                yield 100.0 + time_s, as_cheap_cameras_see(image, rng), T
+                yield 100.0 + time_s, as_cheap_cameras_see(image, rng), T, None
 
 
 def _poses(recording: Recording) -> FloatArray:

@@ -140,9 +140,10 @@ def _front(rng: np.random.Generator) -> Material:
 
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 192, 144, 157.0
-PLACES, VIEWS = 36, 6
-RADIUS = 0.33
-"""Largest distance (eq. 10: metres plus radians) of a view from the middle of its place."""
+PLACES, VIEWS = 24, 10
+RADIUS = 0.5
+"""Largest distance (eq. 10: metres plus radians) of a view from the middle of its place: of the
+pairs within one some are just beyond the limit, and most of the others not far from it."""
 APART, NEARBY = 0.8, 1.5
 """Least distance of two places, and the largest of most of them to some other."""
 SECONDS_APART = 4.0
@@ -246,7 +247,7 @@ def _piece(photograph: Image, panel: Panel, rng: np.random.Generator) -> Image:
     return np.asarray(cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=how))
 
 
-def views_of_places(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
+def views_of_places(scene: Scene, rng: np.random.Generator) -> list[tuple[FloatArray, int | None]]:
     """Return poses of some views of each of some places, most of them near another."""
     places: list[FloatArray] = []
     for _ in range(3000):
@@ -256,8 +257,8 @@ def views_of_places(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
             places.append(T)
         if len(places) == PLACES:
             break
-    views = [nudged(place, RADIUS, rng) for place in places for _ in range(VIEWS)]
-    return [T for T in views if scene.allows(T)]
+    views = [(nudged(T, RADIUS, rng), k) for k, T in enumerate(places) for _ in range(VIEWS)]
+    return [(T, place) for T, place in views if scene.allows(T)]
 
 
 def path(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
@@ -290,11 +291,11 @@ def photographed(scene: Scene, T_world_cam: FloatArray, rng: np.random.Generator
 def views(kind: str, seed: int, photographs: Sequence[Image], paths: bool) -> Views:
     """Yield a scene's views, bare walls left out."""
     scene, rng = build_scene(kind, seed, photographs), np.random.default_rng([seed, 0x71E])
-    poses = path(scene, rng) if paths else views_of_places(scene, rng)
+    seen = [(T, None) for T in path(scene, rng)] if paths else views_of_places(scene, rng)
     pause_s = PATH_S / PATH_VIEWS if paths else SECONDS_APART
-    rngs = [np.random.default_rng([seed, 0xF17, number]) for number in range(len(poses))]
+    rngs = [np.random.default_rng([seed, 0xF17, number]) for number in range(len(seen))]
     with ThreadPoolExecutor(WORKERS) as pool:
-        images = list(pool.map(partial(photographed, scene), poses, rngs))
-    for number, (image, T_world_cam) in enumerate(zip(images, poses, strict=True)):
+        images = list(pool.map(partial(photographed, scene), (T for T, _ in seen), rngs))
+    for number, (image, (T_world_cam, place)) in enumerate(zip(images, seen, strict=True)):
         if image[::4, ::4].std() >= LEAST_CONTRAST:  # nobody could tell a bare wall from another
-            yield 100.0 + number * pause_s, image, T_world_cam
+            yield 100.0 + number * pause_s, image, T_world_cam, place

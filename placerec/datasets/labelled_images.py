@@ -107,6 +107,29 @@ class LabelledImages:
             [own[np.linspace(0, len(own) - 1, min(share, len(own))).astype(int)] for own in whole]
         )
 
+    def around(
+        self,
+        anchors: NDArray[np.int64],
+        of_place: int,
+        just_beyond: int,
+        rng: np.random.Generator,
+    ) -> NDArray[np.int64]:
+        """Return the sorted indices of the anchors and of images drawn around each.
+
+        Args:
+            anchors: (M,) int64.
+            of_place: at most so many images of each anchor's place, itself among them.
+            just_beyond: at most so many from just beyond it.
+            rng: what is drawn from.
+        """
+        drawn = [anchors]
+        for anchor in anchors.tolist():
+            k = int(self.scenes[anchor])
+            same, beyond = _around(self._datasets[k], anchor - int(self._starts[k]))
+            for near, count in ((same, of_place - 1), (beyond, just_beyond)):
+                drawn.append(rng.permutation(near)[:count] + self._starts[k])
+        return np.unique(np.concatenate(drawn))
+
     def pairs(self, indices: NDArray[np.int64]) -> PairTruth:
         """Return what is known of all pairs of n images; those of two datasets are apart."""
         scenes = self.scenes[indices]
@@ -120,9 +143,24 @@ class LabelledImages:
         return PairTruth(same, apart, beyond)
 
 
+def _around(dataset: PlaceDataset, i: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return which others of a dataset's images show the place of one, and which just do not."""
+    if dataset.positions_m is not None and dataset.quaternions is not None:
+        at = dataset.positions_m[i : i + 1], dataset.quaternions[i : i + 1]
+        distance = pose_distance(*at, dataset.positions_m, dataset.quaternions)[0]
+        is_same = distance < SAME_PLACE
+        beyond = np.flatnonzero(~is_same & (distance < JUST_BEYOND))
+    else:
+        labels = _labels(dataset)
+        is_same, beyond = labels == labels[i], np.empty(0, np.int64)
+    is_same[i] = False
+    return np.flatnonzero(is_same), beyond
+
+
 def _pairs_within(dataset: PlaceDataset, own: NDArray[np.int64]) -> PairTruth:
     if dataset.positions_m is not None and dataset.quaternions is not None:
-        distance = pose_distance(dataset.positions_m[own], dataset.quaternions[own])
+        poses = dataset.positions_m[own], dataset.quaternions[own]
+        distance = pose_distance(*poses, *poses)
         is_apart = distance >= SAME_PLACE
         return PairTruth(~is_apart, is_apart, is_apart & (distance < JUST_BEYOND))
     labels = _labels(dataset)[own]

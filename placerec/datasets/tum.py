@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings in the format of the TUM RGB-D benchmark: places from camera poses (eq. 10)."""
+"""Recordings in the format of the TUM RGB-D benchmark: places from camera poses (eq. 10).
+
+Where there is a places.txt beside the lists, its lines `timestamp place` say which place each image
+is meant to show, a whole number: what views were made for is not to be guessed from their poses.
+"""
 
 import logging
 from pathlib import Path
@@ -11,8 +15,17 @@ from numpy.typing import NDArray
 from placerec.datasets.place_dataset import PlaceDataset, check_images, keep_readable
 from placerec.datasets.pose_distance import SAME_PLACE, FloatArray, pose_distance
 from placerec.datasets.times import Clock, in_order, like_images
-from placerec.datasets.tum_lists import nearest, read_images, read_poses
+from placerec.datasets.tum_lists import (
+    as_number,
+    as_whole_number,
+    nearest,
+    read_images,
+    read_lines,
+    read_poses,
+    split_fields,
+)
 from placerec.errors import RecognizerError
+from placerec.files import is_file
 
 _log = logging.getLogger(__name__)
 
@@ -25,12 +38,16 @@ rendered ones are, every one."""
 
 
 class Recording(NamedTuple):
-    """The used frames of one recording: (N,) seconds and files, (N, 3) metres, (N, 4) x y z w."""
+    """The used frames of one recording: (N,) seconds and files, (N, 3) metres, (N, 4) x y z w.
+
+    `places` are (N,) labels, None where the recording brings none.
+    """
 
     timestamps_s: FloatArray
     paths: tuple[Path, ...]
     positions_m: FloatArray
     quaternions: FloatArray
+    places: NDArray[np.int64] | None
 
 
 def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
@@ -42,7 +59,8 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
     """
     recording = read_recording(folder, stride)
     check_images(recording.paths, _short_name(folder))
-    distance = pose_distance(recording.positions_m, recording.quaternions)
+    poses = recording.positions_m, recording.quaternions
+    distance = pose_distance(*poses, *poses)
     everyone = np.arange(len(recording.paths))
     apart_s = np.abs(recording.timestamps_s[:, None] - recording.timestamps_s)
     dataset = PlaceDataset(
@@ -52,7 +70,7 @@ def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
         references=everyone,
         same_place=distance < SAME_PLACE,
         comparable=apart_s > _MIN_GAP_S,
-        places=_label(distance),
+        places=_label(distance) if recording.places is None else recording.places,
         timestamps_s=recording.timestamps_s,
         positions_m=recording.positions_m,
         quaternions=recording.quaternions,
@@ -68,12 +86,12 @@ def read_tum_sessions(
     The true poses of both must be in one world, as are those of the benchmark's freiburg1.
     """
     sessions = [read_recording(folder, stride) for folder in (query_folder, reference_folder)]
-    timestamps_s, paths, positions_m, quaternions = zip(*sessions, strict=True)
+    timestamps_s, paths, positions_m, quaternions, _ = zip(*sessions, strict=True)
     name = f"{_short_name(query_folder)}+{_short_name(reference_folder)}"
     check_images((*paths[0], *paths[1]), name)
     everywhere_m = np.concatenate(positions_m)
     turned = np.concatenate(quaternions)
-    distance = pose_distance(everywhere_m, turned)
+    distance = pose_distance(everywhere_m, turned, everywhere_m, turned)
     first = len(paths[0])
     same_place = distance[:first, first:] < SAME_PLACE
     dataset = PlaceDataset(
@@ -120,11 +138,33 @@ def read_recording(folder: Path, stride: int) -> Recording:
         paths=tuple(paths[order[i]] for i in used),
         positions_m=positions_m[in_truth[used]],
         quaternions=quaternions[in_truth[used]],
+        places=_read_places(folder / "places.txt", stamps_s[np.array(order)[used]]),
     )
 
 
 def _short_name(folder: Path) -> str:
     return folder.resolve().name.replace("rgbd_dataset_freiburg", "fr")
+
+
+def _read_places(file: Path, stamps_s: FloatArray) -> NDArray[np.int64] | None:
+    """Return the place of each image by its own time stamp, None where there is no such list."""
+    if not is_file(file):
+        return None
+    places: dict[float, int] = {}
+    for number, line in read_lines(file):
+        fields = split_fields(line)
+        stamp_s = as_number(fields[0])
+        place = as_whole_number(fields[1]) if len(fields) == 2 else None
+        if stamp_s is None or place is None:
+            raise RecognizerError(f'line {number} is not "timestamp place": {line!r}: {file}')
+        places[stamp_s] = place
+    missing = [stamp_s for stamp_s in stamps_s.tolist() if stamp_s not in places]
+    if missing:
+        raise RecognizerError(
+            f"the list names no place for {len(missing)} of {len(stamps_s)} images, the first of "
+            f"{missing[0]:.6f}: {file}"
+        )
+    return np.array([places[stamp_s] for stamp_s in stamps_s.tolist()], np.int64)
 
 
 def _label(distance: FloatArray) -> NDArray[np.int64]:

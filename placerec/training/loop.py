@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from placerec.datasets import LabelledImages
 from placerec.errors import RecognizerError
@@ -140,25 +139,25 @@ class Training:
             config.places_per_scene or len(scenes),
             rng,
         )
-        seen = visited[sample_images(self._places[visited], config.images_per_place, rng)]
-        places = self._places[seen]
-        self._refuse_too_few(places)
+        anchors = visited[sample_images(self._places[visited], 1, rng)]
+        self._refuse_too_few(len(anchors))
+        beyond = config.rules.negatives // 2
+        seen = self._images.around(anchors, config.images_per_place, beyond, rng)
         try:
             features = self._learner.embed(seen, self._progress)
         except KeyboardInterrupt:  # may come from progress; all is still as after the last step
             self._save()
             raise
-        anchors = rng.permutation(sample_images(places, 1, rng))
-        truth = self._images.pairs(seen)
-        sets = build_image_sets(features, truth, rng, config.rules, anchors)
+        truth, rows = self._images.pairs(seen), np.searchsorted(seen, rng.permutation(anchors))
+        sets = build_image_sets(features, truth, rng, config.rules, rows)
         self._sets = ImageSets(seen[sets.positives], seen[sets.negatives])
         self._used, self._round = 0, self._round + 1
 
-    def _refuse_too_few(self, places: NDArray[np.int64]) -> None:
-        count, others = len(np.unique(places)), self._config.rules.negatives
-        if count <= others:
+    def _refuse_too_few(self, places: int) -> None:
+        others = self._config.rules.negatives
+        if places <= others:
             raise RecognizerError(
-                f"the images show {count} places, and {others + 1} are needed: a set is one place "
+                f"the images show {places} places, and {others + 1} are needed: a set is one place "
                 f"and {others} others; give more places or ask for fewer negatives"
             )
 

@@ -106,7 +106,7 @@ def test_views_of_a_place_are_near_it_and_places_apart(place, monkeypatch):
     again = list(place.views_of_places([RED], seed=0))
     assert all(np.array_equal(a[1], b[1]) for a, b in zip(views, again, strict=True))
     places = [views[0][2]]
-    for _, _, T in views:
+    for _, _, T, _ in views:
         if distance(T, places[-1]) >= APART - RADIUS:
             places.append(T)
         assert distance(T, places[-1]) < RADIUS
@@ -117,6 +117,6 @@ def test_views_of_a_place_are_near_it_and_places_apart(place, monkeypatch):
 def test_a_path_goes_on_in_small_steps(place, monkeypatch):
     monkeypatch.setattr(recorded, "LEAST_SEEN", 0.0)
     steps = list(islice(place.path([RED], seed=0), 20))
-    assert np.all(np.diff([time_s for time_s, _, _ in steps]) > 0)
-    poses = [T for _, _, T in steps]
+    assert np.all(np.diff([time_s for time_s, *_ in steps]) > 0)
+    poses = [T for _, _, T, _ in steps]
     assert max(distance(a, b) for a, b in pairwise(poses)) < 0.3

@@ -2,10 +2,8 @@
 import numpy as np
 import pytest
 
-from placerec.datasets.tum import pose_distance, read_tum, read_tum_sessions
+from placerec.datasets.tum import read_tum, read_tum_sessions
 from placerec.errors import LoopcloseError
-
-LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 def test_desk_has_the_numbers_of_the_protocol(real_data):
@@ -30,27 +28,6 @@ def test_desk_in_the_room_of_the_other_recording(real_data):
     metres = np.linalg.norm(both.positions_m[i] - both.positions_m[205 + j])
     assert metres < 0.6
     assert both.comparable.all()
-
-
-def test_distance_is_metres_plus_radians():
-    turned = (0.0, np.sin(0.15), 0.0, np.cos(0.15))  # 0.3 rad about y
-    back = (0.0, -np.sin(0.15), 0.0, -np.cos(0.15))  # the same turn, as its other quaternion
-    distance = pose_distance(
-        np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.2]]),
-        np.array([LEVEL, turned, back]),
-    )
-    expected = [[0.0, 5.3, 0.5], [5.3, 0.0, np.sqrt(25.04)], [0.5, np.sqrt(25.04), 0.0]]
-    assert np.allclose(distance, expected, atol=1e-7)
-
-
-def test_distance_is_the_same_in_any_world_frame():
-    rng = np.random.default_rng(3)
-    positions, quaternions = rng.normal(size=(5, 3)), rng.normal(size=(5, 4))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    half_turn = np.array([1.0, -1.0, -1.0])  # about x: (x, y, z, w) becomes (w, -z, y, -x)
-    turned = quaternions[:, [3, 2, 1, 0]] * [1.0, -1.0, 1.0, -1.0]
-    there = pose_distance(positions * half_turn + 7.0, turned)
-    assert np.allclose(there, pose_distance(positions, quaternions), atol=1e-6)
 
 
 @pytest.fixture
@@ -135,6 +112,9 @@ def test_missing_image_is_skipped_and_named(recording):
         ("groundtruth.txt", "1 2 3\n", "line 1 is not .*1 2 3"),
         ("groundtruth.txt", "0 nan 0 0 0 0 0 1\n", "line 1 is not .* in finite numbers"),
         ("groundtruth.txt", "0 0 0 0 0 0 0 0\n", "line 1 has a quaternion of length zero"),
+        ("places.txt", "0.0 kitchen\n", r'line 1 is not "timestamp place": .*kitchen'),
+        ("places.txt", "0.0 1 2\n", "line 1 is not"),
+        ("places.txt", "0.0 1\n3.0 1\n", "names no place for 1 of 3 images, the first of 6"),
         ("groundtruth.txt", None, r"cannot read groundtruth\.txt: No such file"),
     ],
 )
@@ -154,6 +134,13 @@ def test_list_that_is_no_text_is_refused(recording):
     (folder / "rgb.txt").write_bytes(b"\x80\xff\x00")
     with pytest.raises(LoopcloseError, match="not text in UTF-8"):
         read_tum(folder)
+
+
+def test_places_that_come_with_a_recording_are_its_places(recording):
+    folder = recording()
+    assert read_tum(folder, stride=1).places.tolist() == [0, 1, 2, 3, 4, 3, 2, 1, 0]
+    (folder / "places.txt").write_text("".join(f"{i}.0 {i // 3}\n" for i in range(9)))
+    assert read_tum(folder, stride=1).places.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
 def test_single_views_far_apart_in_time_are_all_used(tmp_path, write_image):

@@ -54,6 +54,10 @@ class Boards:
             view = large[dy : dy + 24, dx : dx + 30] * rng.uniform(0.8, 1.2)
             self._views.append(np.clip(view, 0, 255).astype(np.uint8))
 
+    def around(self, anchors, of_place, just_beyond, rng):
+        drawn = [rng.permutation(np.flatnonzero(self.places == self.places[i])) for i in anchors]
+        return np.unique([*anchors, *(i for each in drawn for i in each[:of_place])])
+
     def pairs(self, indices):
         same = self.places[indices, None] == self.places[indices]
         return PairTruth(same, ~same, np.zeros_like(same))
