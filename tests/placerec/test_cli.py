@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import re
+import sys
 from dataclasses import fields
 from importlib.metadata import version
 
@@ -9,6 +10,7 @@ import pytest
 from placerec.__main__ import main
 from placerec.certificate import read_certificate
 from placerec.commands import evaluate
+from placerec.recognizer import load
 from placerec.training.config import TrainingConfig
 
 
@@ -208,6 +210,24 @@ def test_calibrate_says_that_a_certificate_needs_a_place_before_it_starts(capsys
         f"placerec: {GRADIENTS} is no file of weights that a certificate could lie beside; say "
         "with --out FILE.json where to write it\n"
     )
+
+
+def test_an_onnx_file_is_calibrated_by_a_certificate_beside_it(
+    drives, tmp_path, write_onnx, capsys
+):
+    network = str(write_onnx(tmp_path / "net.onnx"))
+    assert main(["calibrate", drives, "--recognizer", network]) == 0
+    path = tmp_path / "net.certificate.json"
+    assert capsys.readouterr().out.endswith(f"min_similarity is taken from, written to {path}\n")
+    assert load(network).min_similarity == read_certificate(path).min_similarity
+    assert read_certificate(path).recognizer == "net.onnx"
+
+
+def test_without_what_runs_an_onnx_file_the_code_is_2(tmp_path, write_onnx, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert main(["check", str(write_onnx(tmp_path / "net.onnx"))]) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'loopclose[onnx]'" in error and error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
