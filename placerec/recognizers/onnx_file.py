@@ -67,6 +67,7 @@ class OnnxRecognizer:
         min_similarity: of the certificate beside the file, of the settings, or one that lets
             everything be verified.
         weights: which ones these are, in a line.
+        metadata: all that the file says about itself.
         dimension: how many values an embedding has.
     """
 
@@ -85,7 +86,8 @@ class OnnxRecognizer:
         content = read_bytes(path, MOST_ONNX_BYTES, what="the network", kind=RecognizerError)
         self._files = (path, *_tensor_files(content, path))
         self._session = _open(path)
-        settings = _read_settings(self._session, path)
+        self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
+        settings = _read_settings(self.metadata, path)
         self._input, self._is_last, self._is_batched, size = _input_of(self._session, path)
         self.preprocessing = self._prepared_as(settings, size)
         self._output = _output_of(self._session, settings.output, path)
@@ -277,10 +279,10 @@ def _settings_path(path: Path) -> Path:
     return path.with_suffix(".toml")
 
 
-def _read_settings(session: Any, path: Path) -> OnnxSettings:
+def _read_settings(metadata: Mapping[str, str], path: Path) -> OnnxSettings:
     """Return what the metadata say, and a TOML file beside the network, which wins."""
     try:
-        known = json.loads(session.get_modelmeta().custom_metadata_map.get(METADATA_KEY, "{}"))
+        known = json.loads(metadata.get(METADATA_KEY, "{}"))
     except ValueError as error:
         raise RecognizerError(
             f"the metadata {METADATA_KEY!r} of the network are not JSON: {error}: {path}"
