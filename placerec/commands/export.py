@@ -26,7 +26,7 @@ def export(
     /,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """Write a trained network as an ONNX file, which onnxruntime and others run.
+    """Write a trained network as an ONNX file, which others can run.
 
     Example: placerec export runs/mine/weights.safetensors --out mine.onnx
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,12 +85,12 @@ class OnnxRecognizer:
         # Read at once: files of others are asked what they are before onnxruntime opens them.
         content = read_bytes(path, MOST_ONNX_BYTES, what="the network", kind=RecognizerError)
         self._files = (path, *_tensor_files(content, path))
-        self._session = _open(path)
-        self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
+        opened = _open(path)
+        self._session, self.metadata = opened.session, opened.metadata
         settings = _read_settings(self.metadata, path)
-        self._input, self._is_last, self._is_batched, size = _input_of(self._session, path)
+        self._input, self._is_last, self._is_batched, size = _input_of(opened.inputs, path)
         self.preprocessing = self._prepared_as(settings, size)
-        self._output = _output_of(self._session, settings.output, path)
+        self._output = _output_of(opened.outputs, settings.output, path)
         self.dimension = self._try_out()
         side = f"{self.preprocessing.width_px}x{self.preprocessing.height_px} px"
         self.weights = f"{path.name} at {side}, by onnxruntime"
@@ -220,7 +220,22 @@ def _of_pixels(values: tuple[float, float, float]) -> tuple[float, float, float]
     return first, second, third
 
 
-def _open(path: Path) -> Any:
+class _Value(NamedTuple):
+    """What goes in or out; a side of its shape that may be any has a name or None for a number."""
+
+    name: str
+    type: str
+    shape: tuple[int | str | None, ...]
+
+
+class _Opened(NamedTuple):
+    session: Any
+    metadata: dict[str, str]
+    inputs: list[_Value]
+    outputs: list[_Value]
+
+
+def _open(path: Path) -> _Opened:
     try:
         import onnxruntime
     except ImportError as error:
@@ -233,7 +248,21 @@ def _open(path: Path) -> Any:
     options.use_deterministic_compute = True
     options.log_severity_level = 4  # what it prints by itself comes back as an exception, too
     try:
-        return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(
+            path,
+            options,
+            providers=["CPUExecutionProvider"],
+            enable_fallback=0,  # to the same once more, which it would print
+        )
+        # Asked here, because the names of a damaged file may be no text.
+        return _Opened(
+            session,
+            session.get_modelmeta().custom_metadata_map,
+            *(
+                [_Value(each.name, each.type, tuple(each.shape)) for each in values]
+                for values in (session.get_inputs(), session.get_outputs())
+            ),
+        )
     except Exception as error:  # onnxruntime's are of no kind of their own
         raise RecognizerError(f"onnxruntime cannot open it: {_why(error)}: {path}") from error
 
@@ -309,45 +338,39 @@ def _validated(known: Mapping[str, object], source: Path) -> OnnxSettings:
         ) from error
 
 
-def _input_of(session: Any, path: Path) -> tuple[Any, bool, bool, tuple[int, int] | None]:
+def _input_of(
+    inputs: Sequence[_Value], path: Path
+) -> tuple[_Value, bool, bool, tuple[int, int] | None]:
     """Return the input, whether channels come last, whether it takes several, and its size.
 
     The size is (width, height), None where it takes any.
     """
-    inputs = session.get_inputs()
     if len(inputs) != 1:
         names = ", ".join(each.name for each in inputs)
         raise RecognizerError(f"the network has {len(inputs)} inputs ({names}), not 1: {path}")
     (only,) = inputs
-    shape = only.shape
-    is_image = len(shape) == 4 and only.type in _TYPES and shape[0] in (1, None, *_names(shape))
-    is_last = is_image and shape[1] != 3 and shape[3] == 3
-    if not is_image or not (is_last or shape[1] in (3, None, *_names(shape))):
+    # A side without a number may be any.
+    sides = [side if isinstance(side, int) else None for side in only.shape]
+    is_image = len(sides) == 4 and only.type in _TYPES and sides[0] in (1, None)
+    is_last = is_image and sides[1] != 3 and sides[3] == 3
+    if not is_image or not (is_last or sides[1] in (3, None)):
         raise RecognizerError(
-            f"input {only.name!r} of the network is {only.type} of shape {tuple(shape)}; it must "
+            f"input {only.name!r} of the network is {only.type} of shape {only.shape}; it must "
             f"be of floats and (N, 3, H, W) or (N, H, W, 3), N any or 1: {path}"
         )
-    height, width = shape[1:3] if is_last else shape[2:]
-    is_fixed = isinstance(height, int) and isinstance(width, int)
-    return only, is_last, shape[0] != 1, (width, height) if is_fixed else None
+    height, width = sides[1:3] if is_last else sides[2:]
+    size = (width, height) if width and height else None
+    return only, is_last, sides[0] is None, size
 
 
-def _names(shape: Sequence[object]) -> list[str]:
-    """Return the sides of a shape that may be anything, which have a name instead of a number."""
-    return [side for side in shape if isinstance(side, str)]
-
-
-def _output_of(session: Any, name: str | None, path: Path) -> str:
+def _output_of(outputs: Sequence[_Value], name: str | None, path: Path) -> str:
     """Return the output that is the embedding: the one named, the only one, or the only row."""
-    shapes: dict[str, tuple[object, ...]] = {
-        each.name: tuple(each.shape) for each in session.get_outputs()
-    }
-    told = ", ".join(f"{each} {shape}" for each, shape in shapes.items())
+    told = ", ".join(f"{each.name} {each.shape}" for each in outputs)
     if name is not None:
-        if name not in shapes:
+        if name not in [each.name for each in outputs]:
             raise RecognizerError(f"output = {name!r}: the network has {told}: {path}")
         return name
-    rows = [each for each, shape in shapes.items() if len(shape) == 2 or len(shapes) == 1]
+    rows = [each.name for each in outputs if len(each.shape) == 2 or len(outputs) == 1]
     if len(rows) != 1:
         raise RecognizerError(
             f"the network has several outputs, {told}; say which is the embedding, (N, D), by "
