@@ -75,6 +75,8 @@ def main() -> int:
         weights = Path(shutil.copy(weights, SHIPPED[options.loss]))
     validation = f"{options.ie_tower}:validation"
     _run("-m", "placerec", "calibrate", validation, "--recognizer", weights)
+    if weights == DEFAULT_WEIGHTS:
+        _run("-m", "benchmarks.default_graph")
     return 0
 
 

@@ -47,10 +47,11 @@ def _parse(typed: list[str]) -> Callable[[], int]:
         from placerec.commands.calibrate import calibrate
         from placerec.commands.check import check
         from placerec.commands.evaluate import evaluate
+        from placerec.commands.export import export
         from placerec.commands.fit import fit
         from placerec.commands.train import train
 
-        commands = (check, evaluate, calibrate, fit, train)
+        commands = (check, evaluate, calibrate, fit, train, export)
         told = (f"  {each.__name__:<10} {str(each.__doc__).splitlines()[0]}" for each in commands)
         app = tyro.extras.SubcommandApp()
         for command in commands:

@@ -27,6 +27,8 @@ MOST_SETTINGS_BYTES = 16 << 20
 """Of a file of names and values: settings, cameras, certificates."""
 MOST_WEIGHTS_BYTES = 1 << 30
 """Of a file of weights; VGG-16 with all its layers has half as much."""
+MOST_ONNX_BYTES = 2 << 30
+"""Of a network as an ONNX file, whose format allows no more; larger tensors lie beside it."""
 
 _MOST_TIMES, _FREE_BYTES = 10, 64 << 20
 """An archive may unpack to so many times its size, or to so many bytes."""

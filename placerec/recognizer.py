@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from placerec.errors import RecognizerError, cause_of
 
 ENTRY_POINT_GROUP = "placerec.recognizers"
-WEIGHTS_SUFFIX = ".safetensors"
-_WEIGHTS_READER = "placerec.recognizers.fitted_file:open_recognizer"
-"""Found when it is needed, as every recognizer: reading weights may take torch."""
+WEIGHTS_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
+_READERS = {
+    WEIGHTS_SUFFIX: "placerec.recognizers.fitted_file:open_recognizer",
+    ONNX_SUFFIX: "placerec.recognizers.onnx_file:OnnxRecognizer",
+}
+"""By how a file's name ends; found when needed, as every recognizer: weights may take torch."""
 
 
 @runtime_checkable
@@ -52,18 +55,20 @@ def available() -> tuple[str, ...]:
 
 
 def load(name: str) -> PlaceRecognizer:
-    """Return a new recognizer by its installed name, `package.module:ClassName` or weights file.
+    """Return a new recognizer by its installed name, `package.module:ClassName` or file.
 
     Only the named one is imported. What is named is a class or a function without arguments, or
-    the path of what `placerec train` or `placerec fit` wrote, which ends in .safetensors.
+    the path of what `placerec train` or `placerec fit` wrote, which ends in .safetensors, or of any
+    network that makes a vector of an image, which ends in .onnx.
 
     Raises:
         RecognizerError: there is none of that name, two packages claim it, it cannot be imported
-            or constructed, what it makes is not a recognizer, or the weights cannot be used.
+            or constructed, what it makes is not a recognizer, or the file cannot be used.
     """
-    if name.endswith(WEIGHTS_SUFFIX):
-        reader = EntryPoint(name=name, value=_WEIGHTS_READER, group=ENTRY_POINT_GROUP).load()
-        return cast(PlaceRecognizer, reader(Path(name)))
+    for suffix, value in _READERS.items():
+        if name.endswith(suffix):
+            reader = EntryPoint(name=name, value=value, group=ENTRY_POINT_GROUP).load()
+            return cast(PlaceRecognizer, reader(Path(name)))
     entry = find(name)
     title = f"recognizer {name!r}" + ("" if name == entry.value else f" ({entry.value})")
     make = imported(entry, title)
@@ -93,7 +98,7 @@ def find(name: str) -> EntryPoint:
         hint = f" (did you mean {close[0]!r}?)" if close else ""
         raise RecognizerError(
             f"there is no recognizer {name!r}{hint}; installed: {installed}; "
-            "or name a class as package.module:ClassName, or a file of weights, *.safetensors"
+            "or name a class as package.module:ClassName, or a file, *.safetensors or *.onnx"
         )
     if len(found) > 1:
         owners = " and ".join(sorted(entry.dist.name if entry.dist else "?" for entry in found))

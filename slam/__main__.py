@@ -76,7 +76,7 @@ class Arguments:
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs, runs/SEQUENCE unless told; the names of several are joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
-    """Installed name, module:Class or FILE.safetensors."""
+    """Installed name, module:Class, FILE.safetensors or FILE.onnx."""
     finish: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """SEQUENCE is the folder of a killed run: finish it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None

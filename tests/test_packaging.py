@@ -41,4 +41,6 @@ def test_built_in_recognizers_are_named_as_those_of_others_are():
     assert set(declared) >= {"gradients", "learned"}
     for name, value in declared.items():
         recognizer = EntryPoint(name=name, value=value, group=ENTRY_POINT_GROUP).load()
-        assert callable(recognizer.embed) and "min_similarity" in get_type_hints(recognizer)
+        is_class = isinstance(recognizer, type)
+        kind = recognizer if is_class else get_type_hints(recognizer)["return"]
+        assert callable(kind.embed) and "min_similarity" in get_type_hints(kind)

@@ -28,7 +28,7 @@ def check(
     """Tell what a recognizer does right and wrong, and what it costs.
 
     Args:
-        recognizer: an installed name, package.module:ClassName, or trained weights.
+        recognizer: an installed name, package.module:ClassName, trained weights or an ONNX file.
     """
     examination = Examination(load(recognizer), recognizer)
     say(f"{recognizer}, tried out on generated pictures of {PLACES} places")

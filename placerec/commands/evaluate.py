@@ -52,8 +52,8 @@ def evaluate(
             two of them, the one looked for in the other:
             - QUERY+REFERENCE: TUM RGB-D, with true poses in one world
             - QUERY+REFERENCE:3: any images; numbers up to 3 apart match
-        recognizers: installed names, package.module:ClassName, trained weights; or all, which is
-            all the installed.
+        recognizers: installed names, package.module:ClassName, trained weights, ONNX files; or all,
+            which is all the installed.
         out: folder for the page and the CSV file.
         cache: keep embeddings of recognizers with a fingerprint, by what is in the image, and
             take them from there the next time. The folder, ~/.cache/loopclose/embeddings (or under

@@ -22,7 +22,7 @@ from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress, cache_folder, write_atomically
 from placerec.recognizer import PlaceRecognizer
 
-_LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch")
+_LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch", "onnxruntime")
 """With another version of these, the last digits of an embedding may be others."""
 _STARTED_S = time.time()
 _FORMAT = "seconds, time, npy"

@@ -69,12 +69,13 @@ class Covariance(nn.Module):
         """Return the (N, (C + 2)(C + 3) / 2) upper triangles for (N, C, h, w) maps."""
         along = [torch.linspace(-1.0, 1.0, size, device=maps.device) for size in maps.shape[2:]]
         position = POSITION_WEIGHT * torch.stack(torch.meshgrid(*along, indexing="ij"))
-        channels = torch.cat([maps.float(), position.expand(len(maps), -1, -1, -1)], dim=1)
+        channels = torch.cat([maps.float(), position.expand(maps.shape[0], -1, -1, -1)], dim=1)
         values = channels.flatten(start_dim=2)
         values = values - values.mean(dim=2, keepdim=True)
         covariance = values @ values.transpose(1, 2) / values.shape[2]
-        rows, columns = torch.triu_indices(*covariance.shape[1:], device=maps.device)
-        triangle = covariance[:, rows, columns]
+        # Of NumPy, because as numbers they can be written to ONNX, which has no such operator.
+        rows, columns = map(torch.from_numpy, np.triu_indices(channels.shape[1]))
+        triangle = covariance[:, rows.to(maps.device), columns.to(maps.device)]
         rooted: Tensor = triangle.sign() * ((triangle.abs() + FAINT).sqrt() - FAINT**0.5)
         return rooted
 

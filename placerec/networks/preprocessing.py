@@ -1,32 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """From an image of any size to the numbers that a network was trained with."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from placerec.errors import RecognizerError
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch compute what is inside on one thread.
-
-    A second one saves a few milliseconds on an idle machine, costs ten times as many on a busy one,
-    and changes the last bits with the number of cores.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True)
@@ -45,7 +26,7 @@ class Preprocessing:
     scale: tuple[float, float, float]
     is_bgr: bool = False
 
-    def __call__(self, image: NDArray[np.uint8]) -> Tensor:
+    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the (3, height, width) float32 input made of a uint8 image.
 
         It is (H, W, 3) RGB, (H, W, 4) with alpha (ignored), or (H, W) or (H, W, 1) grey.
@@ -61,8 +42,8 @@ class Preprocessing:
         resized = np.asarray(cv2.resize(rgb, size, interpolation=interpolation))
         channels = resized[..., ::-1] if self.is_bgr else resized
         mean, scale = np.asarray(self.mean, np.float32), np.asarray(self.scale, np.float32)
-        values = (channels.astype(np.float32) - mean) / scale
-        return torch.from_numpy(values).permute(2, 0, 1)
+        values: NDArray[np.float32] = (channels.astype(np.float32) - mean) / scale
+        return values.transpose(2, 0, 1)
 
 
 TORCHVISION_INPUT = Preprocessing(

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from placerec.errors import RecognizerError
 from placerec.networks import PlaceNetwork, Trunk
-from placerec.networks.preprocessing import one_thread
 from placerec.networks.pretrained import (
     FOLDER_VARIABLE,
     SUFFIXES,
@@ -21,6 +20,7 @@ from placerec.networks.pretrained import (
     load_pretrained,
     weights_folders,
 )
+from placerec.networks.threads import one_thread
 from placerec.recognizers.fitted_file import FittedRecognizer
 
 FloatArray = NDArray[np.float32]

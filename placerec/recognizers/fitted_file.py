@@ -30,6 +30,8 @@ from placerec.recognizer import (
     imported,
 )
 
+NETWORKS_TRAINED_ON = ("ie_tower:train",)
+"""Of what is measured on, what the shipped networks have seen: see their model card."""
 METADATA_KEY = "placerec.fitted"
 _NETWORK_READER = "placerec.recognizers.learned:LearnedRecognizer"
 """Of every file that is not ours: found when it is needed, because it takes torch."""

@@ -17,13 +17,11 @@ from placerec.certificate import (
 )
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, Trunk
-from placerec.networks.preprocessing import one_thread
+from placerec.networks.threads import one_thread
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
-from placerec.recognizers.fitted_file import shipped
+from placerec.recognizers.fitted_file import NETWORKS_TRAINED_ON, shipped
 
 DEFAULT_WEIGHTS, TRIPLET_WEIGHTS = shipped("default"), shipped("triplet")
-_TRAINED_ON = ("ie_tower:train",)
-"""Of what is measured on, what the shipped weights have seen: see their model card."""
 _FRAMES_PER_PASS = 32
 
 
@@ -57,7 +55,7 @@ class LearnedRecognizer:
         is_default = path == DEFAULT_WEIGHTS
         title = "those of the package" if is_default else path.name
         self.weights = f"{self.network.title}, trained for places: {title}"
-        self.trained_on: tuple[str, ...] = _TRAINED_ON if is_default else ()
+        self.trained_on: tuple[str, ...] = NETWORKS_TRAINED_ON if is_default else ()
 
     @cached_property
     def fingerprint(self) -> str:
@@ -137,4 +135,4 @@ class Triplet(LearnedRecognizer):
             )
         super().__init__(path)
         self.weights = f"{self.network.title}, trained as the default but with the triplet loss"
-        self.trained_on = _TRAINED_ON
+        self.trained_on = NETWORKS_TRAINED_ON

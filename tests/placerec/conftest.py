@@ -137,3 +137,53 @@ def measured(tmp_path_factory, write_image) -> Measured:
         cost=Cost(embed_ms=12.34, compare_ms=0.000123, dimension=512, embedding_bytes=2048),
         timed_on=None,
     )
+
+
+@pytest.fixture(scope="session")
+def write_onnx() -> Callable[..., Path]:
+    """Return what writes a network of the mean colours of 8 x 8 pixels, (N, D).
+
+    It takes the shape of the input, the network's last node, if not one that flattens, the names
+    and shapes of its outputs, its metadata, and the file in which a tensor of it is to lie.
+    """
+    onnx = pytest.importorskip("onnx", reason="onnx is not installed (extra [onnx])")
+    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra [onnx])")
+    make, floats = onnx.helper, onnx.TensorProto.FLOAT
+
+    def write(
+        path: Path,
+        shape: tuple[object, ...] = ("n", 3, 24, 32),
+        last: tuple[str, dict[str, object]] = ("Flatten", {}),
+        outputs: dict[str, tuple[object, ...]] | None = None,
+        metadata: dict[str, str] | None = None,
+        tensor_file: str | None = None,
+        domain: str = "",
+    ) -> Path:
+        outputs = outputs or {"embedding": ("n", "d")}
+        one = onnx.numpy_helper.from_array(np.ones((1, 1, 1, 1), np.float32), "one")
+        if tensor_file is not None:
+            onnx.external_data_helper.set_external_data(one, tensor_file, 0, 4)
+            one.ClearField("raw_data")
+        is_last = shape[1] != 3 and shape[-1] == 3
+        nodes = [
+            make.make_node("Transpose", ["image"], ["first"], perm=[0, 3, 1, 2])
+            if is_last
+            else make.make_node("Identity", ["image"], ["first"]),
+            make.make_node("Mul", ["first", "one"], ["same"]),
+            make.make_node("AveragePool", ["same"], ["means"], kernel_shape=[8, 8], strides=[8, 8]),
+            make.make_node(last[0], ["means"], [next(iter(outputs))], domain=domain, **last[1]),
+            *(
+                make.make_node("Flatten" if len(of) == 2 else "Identity", ["means"], [name])
+                for name, of in list(outputs.items())[1:]
+            ),
+        ]
+        told = [make.make_tensor_value_info(name, floats, of) for name, of in outputs.items()]
+        image = make.make_tensor_value_info("image", floats, shape)
+        graph = make.make_graph(nodes, "colours", [image], told, [one])
+        opsets = [make.make_opsetid("", 17), *([make.make_opsetid(domain, 1)] if domain else [])]
+        model = make.make_model(graph, opset_imports=opsets, ir_version=8)
+        make.set_model_props(model, metadata or {})
+        path.write_bytes(model.SerializeToString())
+        return path
+
+    return write

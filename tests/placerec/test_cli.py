@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import re
+import sys
 from dataclasses import fields
 from importlib.metadata import version
 
@@ -9,6 +10,7 @@ import pytest
 from placerec.__main__ import main
 from placerec.certificate import read_certificate
 from placerec.commands import evaluate
+from placerec.recognizer import load
 from placerec.training.config import TrainingConfig
 
 
@@ -47,7 +49,7 @@ def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "Expected one of {check, evaluate, calibrate, fit, train}"),
+        ([], "Expected one of {check, evaluate, calibrate, fit, train, export}"),
         (["check"], "NAME|MODULE:CLASS|FILE"),
         (["bogus"], "bogus"),
         (["train", "x", "--out", "y", "--alpa", "3"], "perhaps you meant --alpha"),
@@ -210,6 +212,24 @@ def test_calibrate_says_that_a_certificate_needs_a_place_before_it_starts(capsys
     )
 
 
+def test_an_onnx_file_is_calibrated_by_a_certificate_beside_it(
+    drives, tmp_path, write_onnx, capsys
+):
+    network = str(write_onnx(tmp_path / "net.onnx"))
+    assert main(["calibrate", drives, "--recognizer", network]) == 0
+    path = tmp_path / "net.certificate.json"
+    assert capsys.readouterr().out.endswith(f"min_similarity is taken from, written to {path}\n")
+    assert load(network).min_similarity == read_certificate(path).min_similarity
+    assert read_certificate(path).recognizer == "net.onnx"
+
+
+def test_without_what_runs_an_onnx_file_the_code_is_2(tmp_path, write_onnx, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert main(["check", str(write_onnx(tmp_path / "net.onnx"))]) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'loopclose[onnx]'" in error and error.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -236,7 +256,7 @@ def printed_at_exit(arguments, capsys):
     return printed.out
 
 
-@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate", "fit", "train"])
+@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate", "fit", "train", "export"])
 def test_help_fits_on_a_screen_and_shows_an_example_or_what_is_needed(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     shown = printed_at_exit([command, "--help"], capsys)
@@ -251,7 +271,7 @@ def test_help_lists_the_commands_each_in_a_line(capsys, monkeypatch):
     lines = printed_at_exit(["-h"], capsys).splitlines()
     assert len(lines) <= 24 and max(map(len, lines)) <= 80
     begins = [line.split()[0] for line in lines if line.startswith("  ")]
-    assert begins[:5] == ["check", "evaluate", "calibrate", "fit", "train"]
+    assert begins[:6] == ["check", "evaluate", "calibrate", "fit", "train", "export"]
 
 
 def test_help_all_shows_every_setting(capsys):
