@@ -6,10 +6,10 @@
 Renders the scenes, trains on small images and then twice on larger ones, with all scenes as they
 come and with photographs drawn nine times as often, averages the two trunks, whitens what that
 makes of both kinds, and calibrates on floors that were not trained on: about two hours on two
-cores. What is done already is not done again. With --ship the result replaces the shipped weights.
+cores. What is done already is not done again. With --ship the result replaces the weights in the repository.
 
-With --loss triplet it trains the default's twin, placerec/weights/triplet.safetensors: all the same
-but for the loss, for the paper's main comparison.
+With --loss triplet it trains the default's twin, benchmarks/weights/triplet.safetensors: all the
+same but for the loss, for the paper's main comparison.
 """
 
 import argparse
@@ -22,10 +22,11 @@ from pathlib import Path
 import torch
 
 from placerec.networks.weights_file import load_weights, save_weights
-from placerec.recognizers.learned import DEFAULT_WEIGHTS, TRIPLET_WEIGHTS
+from placerec.recognizers.learned import DEFAULT_WEIGHTS
 from placerec.training.run import WEIGHTS_NAME
 
 ROOT = Path(__file__).parents[1]
+TRIPLET_WEIGHTS = ROOT / "benchmarks" / "weights" / "triplet.safetensors"
 SCENES = ("--rooms", "90", "--desks", "100", "--seed", "1000")
 NETWORK = ("--block", "block12", "--covariance")
 LEARNING = (

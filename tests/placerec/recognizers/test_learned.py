@@ -13,12 +13,7 @@ from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge, whiten
 from placerec.recognizer import load
 from placerec.recognizers import learned
-from placerec.recognizers.learned import (
-    TRIPLET_WEIGHTS,
-    LearnedRecognizer,
-    Triplet,
-    keep_calibration,
-)
+from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
 
 
 def _image(seed, height=60, width=80):
@@ -221,32 +216,3 @@ def test_path_of_bad_weights_is_one_line(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(RecognizerError, match=r"^(cannot|the weights are not).*w\.safetensors$"):
         load(str(path))
-
-
-@pytest.fixture(scope="module")
-def triplet():
-    return Triplet()
-
-
-def test_triplet_is_the_defaults_twin_with_other_values(triplet):
-    default = LearnedRecognizer()
-    ours, others = (each.network.state_dict() for each in (triplet, default))
-    assert {name: value.shape for name, value in ours.items()} == {
-        name: value.shape for name, value in others.items()
-    }
-    assert triplet.network.preprocessing == default.network.preprocessing
-    assert triplet.trained_on == default.trained_on
-    assert triplet.fingerprint != default.fingerprint
-    image = _image(0)
-    assert not np.allclose(triplet.embed(image), default.embed(image), atol=0.01)
-
-
-def test_triplet_says_what_it_runs_on_and_was_calibrated_on(triplet):
-    assert triplet.weights.endswith("trained as the default but with the triplet loss")
-    assert triplet.certificate and triplet.certificate.min_similarity == triplet.min_similarity
-
-
-def test_where_the_triplet_is_not_installed_it_says_how_to_make_it(tmp_path):
-    with pytest.raises(RecognizerError, match="--loss triplet --ship") as error:
-        Triplet(tmp_path / TRIPLET_WEIGHTS.name)
-    assert "\n" not in str(error.value)
