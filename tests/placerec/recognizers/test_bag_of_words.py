@@ -113,7 +113,7 @@ def test_the_shipped_vocabulary_is_small_and_comes_with_its_certificate(recogniz
     assert shipped("bag-of-words").stat().st_size < 1 << 20
     assert recognizer.trained_on == ("ie_tower:train",)
     certificate = certificate_of(recognizer)
-    assert certificate.data == "ie_tower:validation"
+    assert len(certificate.kinds) == 4 and "ie_tower:validation" in certificate.data
     assert certificate.min_similarity == recognizer.min_similarity
 
 
