@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from placerec.certificate import Certificate
+from placerec.certificate import Certificate, Kind
 from slam.types import Camera
 
 FRAMES = 60
@@ -56,25 +56,28 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def certificate():
     """Return a made-up certificate, of a recognizer and data that do not exist."""
-    return Certificate(
-        recognizer="gradients",
-        fingerprint="sha256:0",
+    kind = Kind(
         data="somewhere",
         images=10,
         skipped=1,
         pairs=45,
         same_place_pairs=9,
-        threshold=0.8,
-        highest_wrong=0.75,
-        recall=0.5,
-        threshold_interval=(0.7, 0.85),
-        recall_interval=(0.25, 0.75),
         resampled="places",
-        resamples=100,
-        without_threshold=2,
-        seed=0,
         different_places=(-0.1, 0.6),
         same_place=(0.3, 0.9),
+        threshold=0.8,
+    )
+    return Certificate(
+        version=2,
+        recognizer="gradients",
+        fingerprint="sha256:0",
+        kinds=(kind,),
         recall_to_verify=0.75,
-        curve=((0.9, 1.0, 0.1), (0.8, 1.0, 0.5), (0.2, 0.5, 1.0)),
+        recall=0.5,
+        min_similarity_interval=(0.55, 0.65),
+        threshold_interval=(0.7, 0.85),
+        recall_interval=(0.25, 0.75),
+        resamples=100,
+        seed=0,
+        curve=((0.9, 0.0, 0.1), (0.8, 0.001, 0.5), (0.2, 0.5, 1.0)),
     )

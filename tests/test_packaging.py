@@ -36,6 +36,12 @@ def test_trained_weights_their_certificate_and_their_card_come_with_the_wheel(tm
         assert {path.as_posix() for path in data} <= set(archive.namelist())
 
 
+def test_what_is_installed_stays_small():
+    parts = [path for name in ("slam", "placerec") for path in (ROOT / name).rglob("*.*")]
+    sizes = [path.stat().st_size for path in parts if path.suffix != ".pyc"]
+    assert sum(sizes) < 15e6  # of which 10.8 MB are the default network
+
+
 def test_built_in_recognizers_are_named_as_those_of_others_are():
     declared = PROJECT["entry-points"][ENTRY_POINT_GROUP]
     assert set(declared) >= {"gradients", "learned"}

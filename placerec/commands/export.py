@@ -35,7 +35,7 @@ def export(
     mine.onnx. A certificate is put beside it where the network has one.
 
     Args:
-        recognizer: a file that placerec train wrote, or learned or triplet.
+        recognizer: a file that placerec train wrote, or learned.
         out: what to write, a name that ends in .onnx; default: NAME.onnx, here.
     """
     path = Path(f"{Path(recognizer).stem}{ONNX_SUFFIX}") if out is None else out

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of visual words: ORB, a vocabulary tree and tf-idf, which is what ORB-SLAM uses."""
+"""Bags of visual words: ORB, a vocabulary tree and tf-idf, scored as DBoW2 does for ORB-SLAM."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.checked_recognizer import Embeddings, Similarities
 from placerec.errors import RecognizerError
 from placerec.recognizers.fitted_file import Fitted, FittedRecognizer
 
@@ -115,15 +116,17 @@ def _hamming(a: Descriptors, b: Descriptors) -> NDArray[np.int64]:
 
 
 class BagOfWords(FittedRecognizer):
-    """How often which word is seen, weighed by how rare it is (tf-idf); the cosine compares.
+    """How often which word is seen, weighed by how rare it is (tf-idf); DBoW2's L1 score compares.
 
     Attributes:
+        looks_back: each image is compared on its own.
         min_similarity: kept with the vocabulary; the shipped one's is what `placerec calibrate`
             finds on the validation floors of ie_tower.
     """
 
     name = "bag-of-words"
     min_similarity = 0.2
+    looks_back = 0
 
     def __init__(self, path: Path | None = None) -> None:
         super().__init__(path)
@@ -131,6 +134,8 @@ class BagOfWords(FittedRecognizer):
         levels = [arrays[name] for name in sorted(arrays) if name != "rarity"]
         self._tree, self._rarity = VocabularyTree(tuple(levels)), arrays["rarity"]
         self.weights = f"{self._tree.words} words of {self._fitted.source}"
+        # The same words once made vectors of unit length, which may still be kept somewhere.
+        self.fingerprint = f"L1 of {self._fitted.fingerprint}"
 
     @classmethod
     def fit(cls, images: Iterable[NDArray[np.uint8]], seed: int = 0) -> Fitted:
@@ -153,14 +158,25 @@ class BagOfWords(FittedRecognizer):
         return Fitted({**levels, "rarity": rarity}, {"features": _FEATURES_FOUND})
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the (W + 1,) float32 unit-length embedding of a (H, W, 3) uint8 RGB image.
+        """Return the (W + 1,) float32 embedding of a (H, W, 3) uint8 RGB image: shares, 1 in all.
 
         The last value is what is left of an image in which no word is seen, and 0 in others.
         """
         words = self._tree(_descriptors(image))
         counts = np.bincount(words, minlength=self._tree.words) * self._rarity
         vector = np.append(counts, 0.0 if counts.any() else 1.0)
-        return np.asarray(vector / np.linalg.norm(vector), np.float32)
+        return np.asarray(vector / vector.sum(), np.float32)
+
+    def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
+        """Return (Q, R) float32 scores of DBoW2, 1 - |v - w| / 2 with the L1 norm, 0 to 1."""
+        similarities = np.empty((len(queries), len(references)), np.float32)
+        for row, query in zip(similarities, queries, strict=True):
+            # Of shares that are 1 in all this is the sum of the smaller of each two: only the words
+            # of the query need to be looked at.
+            seen = np.flatnonzero(query)
+            shared = np.minimum(references[:, seen], query[seen])
+            row[:] = shared.sum(axis=1, dtype=np.float64)
+        return similarities
 
 
 def _descriptors(image: NDArray[np.uint8]) -> Descriptors:

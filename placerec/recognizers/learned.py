@@ -21,7 +21,7 @@ from placerec.networks.threads import one_thread
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
 from placerec.recognizers.fitted_file import NETWORKS_TRAINED_ON, shipped
 
-DEFAULT_WEIGHTS, TRIPLET_WEIGHTS = shipped("default"), shipped("triplet")
+DEFAULT_WEIGHTS = shipped("default")
 _FRAMES_PER_PASS = 32
 
 
@@ -122,17 +122,3 @@ def keep_calibration(weights: Path, certificate: Certificate) -> Path:
     write_certificate(certificate, path)
     set_min_similarity(weights, certificate.min_similarity)
     return path
-
-
-class Triplet(LearnedRecognizer):
-    """The default network, trained with eq. 2 on the same images for as many steps."""
-
-    def __init__(self, path: Path = TRIPLET_WEIGHTS) -> None:
-        if not path.exists():
-            raise RecognizerError(
-                "the default network's twin is not installed; make it with `python"
-                f" benchmarks/train_default.py --loss triplet --ship`: {path}"
-            )
-        super().__init__(path)
-        self.weights = f"{self.network.title}, trained as the default but with the triplet loss"
-        self.trained_on = NETWORKS_TRAINED_ON

@@ -4,9 +4,11 @@
 import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from placerec.certificate import Certificate
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.result import SlamResult
@@ -30,7 +32,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits, None where it says nothing of how the camera turned.
     - min_similarity: the one from which candidates were verified.
-    - certificate: what the recognizer was calibrated on, its curve apart; None without one.
+    - certificate: what the recognizer was calibrated on and to, its curve apart; None without one.
     - frames_live: those of the tracked of which was known when they came where they are.
     - ate_*_m, rpe_translation_*_m, rpe_rotation_*_deg: root mean square errors of the frames, by
       tracking alone (odometry), corrected when they came (live), in the end with the map adjusted
@@ -71,9 +73,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "loops_judged": len(verdicts) if drift else None,
         "loops_false": sum(verdicts) if drift and not drift.unjudged else None,
         "min_similarity": result.min_similarity,
-        "certificate": calibration.certificate.model_dump(mode="json", exclude={"curve"})
-        if calibration
-        else None,
+        "certificate": _told(calibration.certificate) if calibration else None,
         **_errors(drift),
         "elapsed_s": result.elapsed_s,
         "frames_per_second": frames / result.elapsed_s if result.elapsed_s > 0.0 else None,
@@ -141,6 +141,11 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
     rows += [("warning", warning) for warning in result.warnings]
     rows.append(("report", str(folder / "report.html")))
     return "\n".join(f"{name:<10} {text}" for name, text in rows)
+
+
+def _told(certificate: Certificate) -> dict[str, Any]:
+    thresholds = {"min_similarity": certificate.min_similarity, "threshold": certificate.threshold}
+    return certificate.model_dump(mode="json", exclude={"curve"}) | thresholds
 
 
 def _origin(result: SlamResult) -> str:

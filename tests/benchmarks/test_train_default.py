@@ -10,6 +10,8 @@ import torch
 from placerec.datasets import open_collection
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import load_weights, save_weights
+from placerec.recognizer import load
+from placerec.recognizers.learned import LearnedRecognizer
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "train_default.py"
 
@@ -29,6 +31,17 @@ def test_recordings_become_one_collection_in_their_order(benchmark, tmp_path):
     for _ in range(2):  # what is there is not done again
         folder = benchmark._together(tmp_path / "links", [tmp_path / "b", tmp_path / "a"])
     assert [dataset.name for dataset in open_collection(str(folder))] == ["b", "a"]
+
+
+def test_the_twin_in_the_repository_is_the_default_network_with_other_values(benchmark):
+    twin, default = load(str(benchmark.SHIPPED["triplet"])), LearnedRecognizer()
+    ours, others = (each.network.state_dict() for each in (twin, default))
+    assert {name: value.shape for name, value in ours.items()} == {
+        name: value.shape for name, value in others.items()
+    }
+    assert twin.network.preprocessing == default.network.preprocessing
+    assert twin.fingerprint != default.fingerprint
+    assert twin.certificate.min_similarity == pytest.approx(twin.min_similarity, abs=1e-6)
 
 
 def test_trunks_are_averaged(benchmark, tmp_path):

@@ -22,15 +22,30 @@ def test_reads_what_it_wrote(tmp_path, certificate):
     path = tmp_path / "default.json"
     write_certificate(certificate, path)
     assert read_certificate(path) == certificate
-    assert json.loads(path.read_text())["threshold"] == 0.8
+    assert json.loads(path.read_text())["kinds"][0]["threshold"] == 0.8
 
 
 def test_a_match_is_worth_verifying_from_where_hardly_any_are_of_different_places(certificate):
     assert certificate.min_similarity == 0.6
     assert certificate.calibrated_range == (-0.1, 0.9)
     # Cosines of single precision may end a little above 1, which no recognizer may ask for.
-    rounded = certificate.model_copy(update={"different_places": (0.0, 1.0000001)})
-    assert rounded.min_similarity == 1.0
+    assert with_kinds(certificate, {"different_places": (0.0, 1.0000001)}).min_similarity == 1.0
+
+
+def with_kinds(certificate, *changes):
+    """Return the certificate with a kind of scene for each of some changes to its own."""
+    (kind,) = certificate.kinds
+    kinds = tuple(kind.model_copy(update=change) for change in changes)
+    return certificate.model_copy(update={"kinds": kinds})
+
+
+def test_of_several_kinds_what_is_alike_in_one_is_verified_and_in_all_is_believed(certificate):
+    other = {"data": "a hall", "pairs": 5, "different_places": (-0.3, 0.7), "threshold": 0.75}
+    both = with_kinds(certificate, {}, other)
+    assert (both.min_similarity, both.threshold) == (0.6, 0.8)
+    assert (both.different_places, both.same_place) == ((-0.3, 0.7), (0.3, 0.9))
+    assert both.calibrated_range == (-0.3, 0.9)
+    assert (both.data, both.pairs) == ("somewhere, a hall", 50)
 
 
 def test_similarities_like_those_calibrated_on_need_no_warning(certificate):
@@ -74,17 +89,27 @@ def test_too_few_similarities_say_nothing(certificate):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"threshold": 1.5}, r"\(threshold: Input should be less than"),
+        ({"threshold_interval": [0.7, 1.5]}, r"\(threshold_interval\.1: Input should be less than"),
         ({"recall": -0.1}, r"\(recall: "),
         ({"curve": [[0.9, 1.0]]}, r"\(curve\.0\."),
         ({"extra": 1}, r"\(extra: "),
-        ({"threshold": None}, r"\(threshold: "),
+        ({"kinds": []}, r"\(kinds: "),
     ],
 )
 def test_changed_file_is_refused_in_one_line(tmp_path, certificate, change, message):
     path = tmp_path / "changed.json"
     path.write_text(json.dumps(certificate.model_dump(mode="json") | change))
     with pytest.raises(RecognizerError, match=message) as caught:
+        read_certificate(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("version", [{}, {"version": 1}, {"version": 3}])
+def test_certificate_of_before_says_how_to_make_it_anew(tmp_path, certificate, version):
+    path = tmp_path / "before.json"
+    content = certificate.model_dump(mode="json", exclude={"version", "kinds"})
+    path.write_text(json.dumps(content | {"threshold": 0.8} | version))
+    with pytest.raises(RecognizerError, match=r"another version .*`placerec calibrate`") as caught:
         read_certificate(path)
     assert "\n" not in str(caught.value)
 

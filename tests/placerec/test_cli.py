@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import re
+import shutil
 import sys
 from dataclasses import fields
 from importlib.metadata import version
@@ -197,11 +198,36 @@ def test_calibrate_writes_a_certificate(drives, tmp_path, capsys):
     assert main(["calibrate", drives, "--recognizer", GRADIENTS, "--out", str(out)]) == 0
     certificate = read_certificate(out)
     assert certificate.recognizer == GRADIENTS
-    assert (certificate.pairs, certificate.skipped, certificate.recall) == (20, 1, 1.0)
+    (kind,) = certificate.kinds
+    assert (kind.pairs, kind.skipped, certificate.recall) == (20, 1, 1.0)
     shown = capsys.readouterr().out
-    assert f"worth verifying from {certificate.min_similarity:.4f}: 1% of the pairs of d" in shown
-    assert f"without an error {certificate.threshold:.4f} (95 % interval " in shown
+    assert "drives: 9 images (1 skipped), 20 pairs count, 4 of them show one place" in shown
+    assert f"worth verifying from {certificate.min_similarity:.4f} (95 % interval " in shown
+    assert f"taken for one place from {certificate.threshold:.4f} (" in shown
+    assert "left out" not in shown
     assert shown.endswith(f"certificate written to {out}\n")
+
+
+def test_calibrate_tries_each_kind_of_scene_on_the_terms_of_the_others(drives, tmp_path, capsys):
+    for name in ("a", "b"):
+        shutil.copytree(drives, tmp_path / "walks" / name)
+    arguments = ["calibrate", drives, str(tmp_path / "walks"), "--recognizer", GRADIENTS]
+    assert main([*arguments, "--out", "it.json"]) == 0
+    certificate = read_certificate(tmp_path / "it.json")
+    assert [(kind.data, kind.pairs) for kind in certificate.kinds] == [
+        ("drives", 20),
+        ("walks", 40),
+    ]
+    shown = capsys.readouterr().out
+    verified, believed = (
+        getattr(certificate.kinds[1], name) for name in ("left_out_to_verify", "left_out_tau")
+    )
+    assert (
+        f"walks: 18 images (2 skipped), 40 pairs count, 8 of them show one place\n"
+        f"  left out, worth verifying from {verified.threshold:.4f}: of different places "
+        f"{verified.different_places:.2%} pass, of one place 0.0% are cut\n"
+        f"  left out, taken for one place from {believed.threshold:.4f}: "
+    ) in shown
 
 
 def test_calibrate_says_that_a_certificate_needs_a_place_before_it_starts(capsys):
@@ -230,6 +256,13 @@ def test_without_what_runs_an_onnx_file_the_code_is_2(tmp_path, write_onnx, monk
     assert "pip install 'loopclose[onnx]'" in error and error.count("\n") == 1
 
 
+def test_calibrate_hears_each_kind_of_scene_once(drives, capsys):
+    twice = ["calibrate", drives, drives, "--recognizer", GRADIENTS, "--out", "y"]
+    assert main(twice) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error == "placerec: drives is named twice; each kind of scene has one say"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -237,6 +270,7 @@ def test_without_what_runs_an_onnx_file_the_code_is_2(tmp_path, write_onnx, monk
         (["evaluate", "no-folder", "--recognizers", GRADIENTS], "there is no such folder"),
         (["evaluate", "no-folder", "--recognizers", "bogus"], "there is no recognizer 'bogus'"),
         (["calibrate", "x", "--recognizer", GRADIENTS, "--out", "y"], "there is no such folder"),
+        (["calibrate", "--recognizer", GRADIENTS, "--out", "y"], "calibrate needs at least one"),
     ],
 )
 def test_bad_input_is_one_line_and_code_2(arguments, message, capsys):

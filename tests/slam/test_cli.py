@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
-from placerec import certificate, drawing, files
-from placerec.certificate import Certificate
+from placerec import certificate as certificates
+from placerec import drawing, files
 from placerec.commands import console
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
@@ -519,18 +519,27 @@ def weights(tmp_path):
     return path
 
 
-def certificate_for(weights, **changes):
-    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
-    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
-    known |= {"resampled": "places", "data": "some rooms", **dict.fromkeys(ranges, (0.0, 0.5))}
-    known |= {"recognizer": weights.name, "fingerprint": LearnedRecognizer(weights).fingerprint}
-    return Certificate.model_validate(known | changes)
+@pytest.fixture
+def certify(weights, certificate):
+    """Return a function that puts a certificate beside the weights."""
+    (kind,) = certificate.kinds
+    room = {"data": "some rooms", "different_places": (0.0, 0.5), "same_place": (0.0, 0.5)}
+    mine = {"recognizer": weights.name, "fingerprint": LearnedRecognizer(weights).fingerprint}
+
+    def keep(fingerprint=mine["fingerprint"], **changes):
+        kinds = (kind.model_copy(update=room | changes),)
+        found = mine | {"kinds": kinds, "fingerprint": fingerprint}
+        keep_calibration(weights, certificate.model_copy(update=found))
+
+    return keep
 
 
-def test_weights_are_used_with_what_they_were_calibrated_on(run_slam, short_recording, weights):
+def test_weights_are_used_with_what_they_were_calibrated_on(
+    run_slam, short_recording, weights, certify
+):
     command = (short_recording(4), "--recognizer", weights, *QUICK)
     assert "verifies from similarity 0.250, without a certificate\n" in run_slam(*command).out
-    keep_calibration(weights, certificate_for(weights))
+    certify()
     ran = run_slam(*command)
     assert "verifies from similarity 0.500, calibrated on some rooms (" in ran.out
     summary = json.loads((ran.folder / "summary.json").read_text())
@@ -539,18 +548,18 @@ def test_weights_are_used_with_what_they_were_calibrated_on(run_slam, short_reco
 
 
 def test_places_unlike_those_calibrated_on_are_warned_of(
-    run_slam, short_recording, weights, monkeypatch
+    run_slam, short_recording, weights, certify, monkeypatch
 ):
-    monkeypatch.setattr(certificate, "_FEW_PAIRS", 1)
-    keep_calibration(weights, certificate_for(weights, same_place=(-1.0, -0.5)))
+    monkeypatch.setattr(certificates, "_FEW_PAIRS", 1)
+    certify(same_place=(-1.0, -0.5))
     ran = run_slam(short_recording(34), "--recognizer", weights, *QUICK)
     (warning,) = ran.warnings
     assert "similarities" in warning and "calibrated on some rooms" in warning
     assert html.escape(warning) in (ran.folder / "report.html").read_text()
 
 
-def test_a_certificate_of_other_weights_is_refused(run_slam, short_recording, weights):
-    keep_calibration(weights, certificate_for(weights, fingerprint="sha256:0"))
+def test_a_certificate_of_other_weights_is_refused(run_slam, short_recording, weights, certify):
+    certify(fingerprint="sha256:0")
     complaint = run_slam(short_recording(4), "--recognizer", weights).complaint
     assert complaint.startswith("the certificate is of other weights than places.safetensors; ")
 

@@ -9,7 +9,7 @@ import pytest
 from placerec import certificate
 from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
-from placerec.evaluation.calibration import calibrate
+from placerec.evaluation.calibration import Scenes, calibrate
 from placerec.recognizers.gradients import GradientRecognizer
 from slam import system
 from slam.config import Config, EvaluationConfig, LoopConfig, MotionConfig
@@ -552,7 +552,8 @@ class Certified(GradientRecognizer):
     """The same, but calibrated in a world where no two places look alike."""
 
     def __init__(self, dataset, embeddings):
-        self.certificate = calibrate("certified", self, dataset, embeddings)
+        scenes = Scenes(dataset.name, [dataset], [embeddings])
+        self.certificate = calibrate("certified", self, [scenes])
 
 
 def test_a_run_says_what_its_recognizer_was_calibrated_on_and_doubts_it(

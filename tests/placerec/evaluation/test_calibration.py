@@ -7,9 +7,8 @@ import pytest
 
 from placerec.certificate import fingerprint
 from placerec.datasets import PlaceDataset
-from placerec.errors import RecognizerError
-from placerec.evaluation import bootstrap, calibration
-from placerec.evaluation.calibration import calibrate
+from placerec.evaluation import bootstrap
+from placerec.evaluation.calibration import Scenes, calibrate
 from placerec.evaluation.precision_recall import compare
 from placerec.recognizers.gradients import GradientRecognizer
 
@@ -39,13 +38,20 @@ def embeddings(dataset):
 
 
 @pytest.fixture
-def certificate(dataset, embeddings):
-    return calibrate("gradients", GradientRecognizer(), dataset, embeddings)
+def scenes(dataset, embeddings):
+    return Scenes("twelve places", [dataset], [embeddings])
+
+
+@pytest.fixture
+def certificate(scenes):
+    return calibrate("gradients", GradientRecognizer(), [scenes])
 
 
 def pairs_of(dataset, embeddings):
-    similarities = compare(embeddings, dataset)[dataset.pairs]
-    return similarities, dataset.same_place[dataset.pairs]
+    """Return the similarities of pairs of one place, and of different ones."""
+    similarities = compare(embeddings, dataset)[dataset.pairs].astype(float)
+    right = dataset.same_place[dataset.pairs]
+    return similarities[right], similarities[~right]
 
 
 class Halves(GradientRecognizer):
@@ -55,59 +61,118 @@ class Halves(GradientRecognizer):
         return queries @ references.T / 2
 
 
-def test_similarities_are_those_of_the_recognizer(certificate, dataset, embeddings):
-    halved = calibrate("halves", Halves(), dataset, embeddings)
+@pytest.fixture
+def alike(dataset, embeddings):
+    """Return a kind of scene in which all images have much in common."""
+    rows = embeddings + np.array([1.0, 0, 0, 0, 0, 0], np.float32)
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    return Scenes("all alike", [dataset], [rows])
+
+
+def test_similarities_are_those_of_the_recognizer(certificate, scenes):
+    halved = calibrate("halves", Halves(), [scenes])
     assert halved.threshold == pytest.approx(certificate.threshold / 2)
     assert halved.min_similarity == pytest.approx(certificate.min_similarity / 2)
-
-
-def test_threshold_is_free_of_errors_and_no_lower_one_recalls_more(
-    certificate, dataset, embeddings
-):
-    similarities, right = pairs_of(dataset, embeddings)
-    accepted = similarities >= certificate.threshold
-    assert right[accepted].all()
-    assert certificate.recall == pytest.approx(accepted.sum() / right.sum())
-    assert 0.1 < certificate.recall < 1.0
-    assert certificate.highest_wrong == pytest.approx(similarities[~right].max())
-    more = right & (similarities > certificate.highest_wrong)
-    assert more.sum() == accepted.sum()
 
 
 def test_certificate_says_on_what(certificate):
     assert certificate.recognizer == "gradients"
     assert certificate.fingerprint == fingerprint(GradientRecognizer())
-    assert certificate.data == "twelve places"
-    assert (certificate.images, certificate.skipped) == (48, 0)
-    assert (certificate.pairs, certificate.same_place_pairs) == (48 * 47 // 2, 12 * 6)
-    assert certificate.resampled == "places"
+    (kind,) = certificate.kinds
+    assert kind.data == certificate.data == "twelve places"
+    assert (kind.images, kind.skipped) == (48, 0)
+    assert (kind.pairs, kind.same_place_pairs) == (48 * 47 // 2, 12 * 6)
+    assert kind.resampled == "places"
+    assert kind.left_out_to_verify is None and kind.left_out_tau is None
 
 
-def test_curve_holds_the_threshold_and_ends_with_all_recalled(certificate):
-    at = [point for point in certificate.curve if point[0] == certificate.threshold]
-    assert at == [(certificate.threshold, 1.0, pytest.approx(certificate.recall))]
-    assert certificate.curve[-1][2] == 1.0
+def test_thresholds_are_reached_by_one_in_a_hundred_and_one_in_a_thousand(
+    certificate, dataset, embeddings
+):
+    right, wrong = pairs_of(dataset, embeddings)
+    assert (wrong >= certificate.min_similarity).mean() == pytest.approx(0.01, abs=0.001)
+    assert (wrong >= certificate.threshold).mean() == pytest.approx(0.001, abs=0.001)
+    assert certificate.recall_to_verify == (right >= certificate.min_similarity).mean()
+    assert certificate.recall == (right >= certificate.threshold).mean()
+    assert certificate.min_similarity < certificate.threshold
+    assert certificate.recall_to_verify > certificate.recall > 0.1
+
+
+def test_one_wrong_label_decides_nothing(certificate, dataset, embeddings):
+    similarities = np.where(dataset.pairs, compare(embeddings, dataset), -1.0)
+    top = np.unravel_index(similarities.argmax(), similarities.shape)
+    same_place = dataset.same_place.copy()
+    same_place[top] = same_place[top[::-1]] = False
+    scenes = Scenes("mistaken", [replace(dataset, same_place=same_place)], [embeddings])
+    mistaken = calibrate("gradients", GradientRecognizer(), [scenes])
+    assert mistaken.min_similarity == pytest.approx(certificate.min_similarity, abs=0.02)
+    assert mistaken.threshold < similarities.max()
+
+
+def test_of_several_kinds_the_lowest_is_verified_and_the_highest_believed(
+    certificate, scenes, alike
+):
+    alone = calibrate("gradients", GradientRecognizer(), [alike])
+    both = calibrate("gradients", GradientRecognizer(), [scenes, alike])
+    assert certificate.min_similarity < alone.min_similarity
+    assert both.min_similarity == certificate.min_similarity
+    assert both.threshold == max(certificate.threshold, alone.threshold)
+    assert [kind.data for kind in both.kinds] == ["twelve places", "all alike"]
+
+
+def test_each_kind_says_what_the_thresholds_of_the_others_do_to_it(scenes, alike):
+    first, second = calibrate("gradients", GradientRecognizer(), [scenes, alike]).kinds
+    for kind, other, own in ((first, second, scenes), (second, first, alike)):
+        right, wrong = pairs_of(own.datasets[0], own.embeddings[0])
+        for reached, threshold in (
+            (kind.left_out_to_verify, other.min_similarity),
+            (kind.left_out_tau, other.threshold),
+        ):
+            assert reached.threshold == threshold
+            assert reached.different_places == pytest.approx((wrong >= threshold).mean())
+            assert reached.same_place == pytest.approx((right >= threshold).mean())
+    assert second.left_out_to_verify.different_places > 0.02  # that kind is not like the first
+
+
+def test_datasets_of_one_kind_are_as_one(dataset, embeddings, scenes, alike):
+    (kind,) = calibrate(
+        "gradients",
+        GradientRecognizer(),
+        [Scenes("rooms", [dataset, dataset], [embeddings, alike.embeddings[0]])],
+    ).kinds
+    pairs = (pairs_of(dataset, each) for each in (embeddings, alike.embeddings[0]))
+    right, wrong = map(np.concatenate, zip(*pairs, strict=True))
+    assert (kind.images, kind.pairs, kind.same_place_pairs) == (96, 2 * 48 * 47 // 2, len(right))
+    assert kind.different_places == pytest.approx(np.quantile(wrong, [0.01, 0.99]))
+    assert kind.same_place == pytest.approx(np.quantile(right, [0.01, 0.99]))
+
+
+def test_the_curve_ends_with_all_recalled(certificate, dataset, embeddings):
+    right, wrong = pairs_of(dataset, embeddings)
     thresholds = [point[0] for point in certificate.curve]
     assert thresholds == sorted(thresholds, reverse=True)
+    assert certificate.curve[-1][2] == 1.0
+    for similarity, passing, recalled in certificate.curve[::20]:
+        assert passing == pytest.approx((wrong >= similarity).mean())
+        assert recalled == pytest.approx((right >= similarity).mean())
 
 
-def test_long_curve_is_thinned_out(dataset, embeddings, monkeypatch):
-    monkeypatch.setattr(calibration, "_CURVE_POINTS", 10)
-    certificate = calibrate("gradients", GradientRecognizer(), dataset, embeddings)
-    assert 10 <= len(certificate.curve) <= 11
-    assert certificate.threshold in [point[0] for point in certificate.curve]
-
-
-def test_same_seed_same_certificate(certificate, dataset, embeddings):
-    again = calibrate("gradients", GradientRecognizer(), dataset, embeddings)
-    other = calibrate("gradients", GradientRecognizer(), dataset, embeddings, seed=1)
+def test_same_seed_same_certificate(certificate, scenes):
+    again = calibrate("gradients", GradientRecognizer(), [scenes])
+    other = calibrate("gradients", GradientRecognizer(), [scenes], seed=1)
     assert again == certificate
     assert other.threshold == certificate.threshold
     assert other.threshold_interval != certificate.threshold_interval
 
 
+def reached_by(share, similarities):
+    """Return the lowest of the most similar that are a share of all, by counting."""
+    falling = sorted(similarities, reverse=True)
+    return next(s for n, s in enumerate(falling, start=1) if n >= share * len(falling) - 1e-9)
+
+
 def naive_resample(dataset, embeddings, images):
-    """Return threshold (None where there is none) and recall of images drawn with repetition."""
+    """Return where to verify, tau and its recall, of images drawn with repetition."""
     similarities = compare(embeddings, dataset)
     chosen = [
         (similarities[i, j], dataset.same_place[i, j])
@@ -115,31 +180,19 @@ def naive_resample(dataset, embeddings, images):
         for j in images[:a]
         if dataset.comparable[i, j]
     ]
-    wrong = max((s for s, right in chosen if not right), default=-np.inf)
-    right = [s for s, right in chosen if right]
-    above = [s for s in right if s > wrong]
-    return min(above, default=None), len(above) / max(1, len(right))
-
-
-def signs_of_twelve_places():
-    """Return embeddings of which some right and the most similar wrong pairs are at 0.75."""
-    signs = np.random.default_rng(1).choice([-1.0, 1.0], (12, 16)).repeat(4, axis=0)
-    for image in range(48):
-        if image % 4:
-            signs[image, image % 4] *= -1.0
-    return (signs / 4.0).astype(np.float32)
+    wrong = [s for s, right in chosen if not right]
+    right = np.array([s for s, right in chosen if right])
+    tau = reached_by(0.001, wrong)
+    return reached_by(0.01, wrong), tau, (right >= tau).mean()
 
 
 @pytest.mark.parametrize("labelled", [True, False])
-@pytest.mark.parametrize("tied", [True, False])
-def test_intervals_agree_with_a_naive_bootstrap(dataset, embeddings, monkeypatch, labelled, tied):
+def test_intervals_agree_with_a_naive_bootstrap(dataset, embeddings, monkeypatch, labelled):
     monkeypatch.setattr(bootstrap, "RESAMPLES", 20)
-    monkeypatch.setattr(calibration, "_BLOCK", 7)
-    if tied:
-        embeddings = signs_of_twelve_places()
     if not labelled:
         dataset = replace(dataset, places=None)
-    certificate = calibrate("gradients", GradientRecognizer(), dataset, embeddings, seed=3)
+    scenes = Scenes("twelve places", [dataset], [embeddings])
+    certificate = calibrate("gradients", GradientRecognizer(), [scenes], seed=3)
     rng = np.random.default_rng(3)
     drawn = []
     for _ in range(20):
@@ -150,41 +203,20 @@ def test_intervals_agree_with_a_naive_bootstrap(dataset, embeddings, monkeypatch
         else:
             images = rng.integers(48, size=48).tolist()
         drawn.append(naive_resample(dataset, embeddings, images))
-    thresholds = [threshold for threshold, _ in drawn if threshold is not None]
-    assert certificate.resampled == ("places" if labelled else "images")
-    assert certificate.without_threshold == 20 - len(thresholds)
-    assert np.allclose(certificate.threshold_interval, np.quantile(thresholds, [0.025, 0.975]))
-    assert np.allclose(
-        certificate.recall_interval, np.quantile([recall for _, recall in drawn], [0.025, 0.975])
-    )
+    assert certificate.kinds[0].resampled == ("places" if labelled else "images")
+    assert certificate.resamples == 20
+    found = ("min_similarity_interval", "threshold_interval", "recall_interval")
+    for name, values in zip(found, np.transpose(drawn), strict=True):
+        assert np.allclose(getattr(certificate, name), np.quantile(values, [0.025, 0.975]))
 
 
 def test_intervals_hold_what_they_are_about(certificate):
-    low, high = certificate.threshold_interval
-    assert low <= certificate.threshold <= high
-    low, high = certificate.recall_interval
-    assert low < certificate.recall < high
-
-
-def test_ranges_leave_out_the_extremes_of_either_kind(certificate, dataset, embeddings):
-    similarities, right = pairs_of(dataset, embeddings)
-    for kind, (low, high) in (
-        (similarities[~right], certificate.different_places),
-        (similarities[right], certificate.same_place),
+    for value, (low, high) in (
+        (certificate.min_similarity, certificate.min_similarity_interval),
+        (certificate.threshold, certificate.threshold_interval),
+        (certificate.recall, certificate.recall_interval),
     ):
-        assert (kind < low).mean() == pytest.approx(0.01, abs=0.01)
-        assert (kind > high).mean() == pytest.approx(0.01, abs=0.01)
-
-
-def test_one_in_a_hundred_pairs_of_different_places_is_worth_verifying(
-    certificate, dataset, embeddings
-):
-    similarities, right = pairs_of(dataset, embeddings)
-    passing = similarities >= certificate.min_similarity
-    assert passing[~right].mean() == pytest.approx(0.01, abs=0.001)
-    assert passing[right].mean() == pytest.approx(certificate.recall_to_verify)
-    assert certificate.min_similarity < certificate.threshold
-    assert certificate.recall_to_verify > certificate.recall
+        assert low < value < high
 
 
 def test_queries_and_references_of_two_drives(dataset, embeddings):
@@ -196,13 +228,7 @@ def test_queries_and_references_of_two_drives(dataset, embeddings):
         same_place=dataset.same_place[np.ix_(queries, references)],
         comparable=np.ones((24, 24), bool),
     )
-    certificate = calibrate("gradients", GradientRecognizer(), drives, embeddings)
-    assert certificate.pairs == 24 * 24
-    assert certificate.same_place_pairs == 12 * 4
-
-
-def test_error_at_the_top_leaves_no_threshold_and_names_the_pair(dataset, embeddings):
-    embeddings = embeddings.copy()
-    embeddings[40] = embeddings[3]
-    with pytest.raises(RecognizerError, match=r"^no threshold keeps thumbs .* 3\.png and 40\.png$"):
-        calibrate("thumbs", GradientRecognizer(), dataset, embeddings)
+    scenes = Scenes("drives", [drives], [embeddings])
+    (kind,) = calibrate("gradients", GradientRecognizer(), [scenes]).kinds
+    assert kind.pairs == 24 * 24
+    assert kind.same_place_pairs == 12 * 4

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from placerec.certificate import Certificate, certificate_of, fingerprint, write_certificate
+from placerec.certificate import certificate_of, fingerprint, write_certificate
 from placerec.conformance import check
 from placerec.errors import LoopcloseError, RecognizerError
 from placerec.networks import TRUNKS, PlaceNetwork
@@ -13,12 +13,7 @@ from placerec.networks.weights_file import save_weights
 from placerec.networks.whitening import merge, whiten
 from placerec.recognizer import load
 from placerec.recognizers import learned
-from placerec.recognizers.learned import (
-    TRIPLET_WEIGHTS,
-    LearnedRecognizer,
-    Triplet,
-    keep_calibration,
-)
+from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
 
 
 def _image(seed, height=60, width=80):
@@ -121,51 +116,39 @@ def test_default_that_is_not_installed_is_one_line_that_says_what_to_do(tmp_path
     assert "\n" not in message
 
 
-def _certificate(recognizer, **changes):
-    found = {
-        "recognizer": "w.safetensors",
-        "fingerprint": recognizer.fingerprint,
-        "data": "somewhere",
-        "images": 10,
-        "skipped": 0,
-        "pairs": 45,
-        "same_place_pairs": 9,
-        "threshold": 0.8,
-        "highest_wrong": 0.75,
-        "recall": 0.5,
-        "threshold_interval": (0.7, 0.85),
-        "recall_interval": (0.25, 0.75),
-        "resampled": "places",
-        "resamples": 100,
-        "without_threshold": 2,
-        "seed": 0,
-        "different_places": (-0.1, 0.625),
-        "same_place": (0.3, 0.9),
-        "recall_to_verify": 0.75,
-        "curve": ((0.8, 1.0, 0.5),),
-    }
-    return Certificate.model_validate(found | changes)
+@pytest.fixture
+def certify(certificate):
+    """Return a function that makes a certificate for a recognizer."""
+    (kind,) = certificate.kinds
+    kinds = (kind.model_copy(update={"different_places": (-0.1, 0.625)}),)
+    return lambda recognizer, **changes: certificate.model_copy(
+        update={"fingerprint": recognizer.fingerprint, "kinds": kinds} | changes
+    )
 
 
-def test_calibrated_weights_carry_their_threshold_and_find_their_certificate(recognizer, tmp_path):
+def test_calibrated_weights_carry_their_threshold_and_find_their_certificate(
+    recognizer, tmp_path, certify
+):
     weights = tmp_path / "w.safetensors"
     save_weights(recognizer.network, weights, 0.25)
     before = LearnedRecognizer(weights)
     assert before.certificate is None
-    path = keep_calibration(weights, _certificate(before))
+    path = keep_calibration(weights, certify(before))
     assert path == tmp_path / "w.certificate.json"
     after = LearnedRecognizer(weights)
     assert after.min_similarity == 0.625
     assert after.fingerprint == before.fingerprint
-    assert certificate_of(after) == _certificate(before)
+    assert certificate_of(after) == certify(before)
     np.testing.assert_array_equal(after.embed(_image(1)), before.embed(_image(1)))
 
 
-def test_certificate_of_other_weights_is_refused_but_they_can_be_calibrated(recognizer, tmp_path):
+def test_certificate_of_other_weights_is_refused_but_they_can_be_calibrated(
+    recognizer, tmp_path, certify
+):
     weights = tmp_path / "w.safetensors"
     save_weights(recognizer.network, weights, 0.25)
     path = tmp_path / "w.certificate.json"
-    write_certificate(_certificate(recognizer, fingerprint="sha256:other"), path)
+    write_certificate(certify(recognizer, fingerprint="sha256:other"), path)
     trained_again = LearnedRecognizer(weights)
     assert trained_again.embed(_image(1)).shape == (32,)
     with pytest.raises(RecognizerError) as caught:
@@ -174,16 +157,16 @@ def test_certificate_of_other_weights_is_refused_but_they_can_be_calibrated(reco
         "the certificate is of other weights than w.safetensors; calibrate these with "
         f"`placerec calibrate`, or remove it: {path}"
     )
-    keep_calibration(weights, _certificate(trained_again))
+    keep_calibration(weights, certify(trained_again))
     assert certificate_of(LearnedRecognizer(weights)) is not None
 
 
-def test_certificate_that_cannot_be_written_leaves_the_weights_alone(recognizer, tmp_path):
+def test_certificate_that_cannot_be_written_leaves_the_weights_alone(recognizer, tmp_path, certify):
     weights = tmp_path / "w.safetensors"
     save_weights(recognizer.network, weights, 0.25)
     (tmp_path / "w.certificate.json").mkdir()
     with pytest.raises(LoopcloseError, match=r"cannot write w\.certificate\.json"):
-        keep_calibration(weights, _certificate(recognizer))
+        keep_calibration(weights, certify(recognizer))
     assert LearnedRecognizer(weights).min_similarity == 0.25
 
 
@@ -221,32 +204,3 @@ def test_path_of_bad_weights_is_one_line(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(RecognizerError, match=r"^(cannot|the weights are not).*w\.safetensors$"):
         load(str(path))
-
-
-@pytest.fixture(scope="module")
-def triplet():
-    return Triplet()
-
-
-def test_triplet_is_the_defaults_twin_with_other_values(triplet):
-    default = LearnedRecognizer()
-    ours, others = (each.network.state_dict() for each in (triplet, default))
-    assert {name: value.shape for name, value in ours.items()} == {
-        name: value.shape for name, value in others.items()
-    }
-    assert triplet.network.preprocessing == default.network.preprocessing
-    assert triplet.trained_on == default.trained_on
-    assert triplet.fingerprint != default.fingerprint
-    image = _image(0)
-    assert not np.allclose(triplet.embed(image), default.embed(image), atol=0.01)
-
-
-def test_triplet_says_what_it_runs_on_and_was_calibrated_on(triplet):
-    assert triplet.weights.endswith("trained as the default but with the triplet loss")
-    assert triplet.certificate and triplet.certificate.min_similarity == triplet.min_similarity
-
-
-def test_where_the_triplet_is_not_installed_it_says_how_to_make_it(tmp_path):
-    with pytest.raises(RecognizerError, match="--loss triplet --ship") as error:
-        Triplet(tmp_path / TRIPLET_WEIGHTS.name)
-    assert "\n" not in str(error.value)

@@ -302,10 +302,12 @@ class Certified(Scripted):
 
     def __init__(self, fingerprint="sha256:0"):
         super().__init__()
+        counts = ("images", "skipped", "pairs", "same_place_pairs", "threshold")
+        ranges = dict.fromkeys(("different_places", "same_place"), (0.0, 1.0))
+        room = {"data": "a room", "resampled": "places", **dict.fromkeys(counts, 0), **ranges}
         known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
-        pairs = ("threshold_interval", "recall_interval", "different_places", "same_place")
-        known |= dict.fromkeys(pairs, (0.0, 1.0))
-        known |= {"resampled": "places", "recognizer": "certified", "data": "a room"}
+        known |= {name: (0.0, 1.0) for name in known if name.endswith("_interval")}
+        known |= {"version": 2, "recognizer": "certified", "kinds": (room,)}
         self.certificate = Certificate.model_validate(known | {"fingerprint": fingerprint})
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from placerec.certificate import Certificate
+from placerec.certificate import Certificate, Kind, Reached
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import LoopTruth
 from slam.result import Calibration, SlamResult
@@ -155,27 +155,33 @@ def make_run(keyframes: int = 40, attempts: int = 60) -> Run:
 
 def make_calibration(result: SlamResult) -> Calibration:
     """Return a made-up certificate, beside the similarities of all pairs of keyframes."""
-    certificate = Certificate(
-        recognizer="tower.safetensors",
-        fingerprint=f"sha256:{'0123456789abcdef' * 4}",
+    floors = Kind(
         data="ie_tower:validation",
         images=288,
         skipped=3,
         pairs=26127,
         same_place_pairs=540,
-        threshold=0.87,
-        highest_wrong=0.86,
-        recall=0.12,
-        threshold_interval=(0.62, 0.89),
-        recall_interval=(0.05, 0.16),
         resampled="places",
-        resamples=1000,
-        without_threshold=7,
-        seed=0,
         different_places=(-0.24, 0.75),
         same_place=(0.3, 0.95),
+        threshold=0.87,
+        left_out_to_verify=Reached(threshold=0.78, different_places=0.004, same_place=0.75),
+        left_out_tau=Reached(threshold=0.85, different_places=0.003, same_place=0.25),
+    )
+    rooms = {"data": "rooms", "skipped": 0, "different_places": (-0.1, 0.78), "threshold": 0.85}
+    certificate = Certificate(
+        version=2,
+        recognizer="tower.safetensors",
+        fingerprint=f"sha256:{'0123456789abcdef' * 4}",
+        kinds=(floors, floors.model_copy(update=rooms)),
         recall_to_verify=0.37,
-        curve=((0.87, 1.0, 0.12), (0.3, 0.5, 1.0)),
+        recall=0.12,
+        min_similarity_interval=(0.7, 0.8),
+        threshold_interval=(0.62, 0.89),
+        recall_interval=(0.05, 0.16),
+        resamples=1000,
+        seed=0,
+        curve=((0.87, 0.001, 0.12), (0.3, 0.5, 1.0)),
     )
     rows, columns = np.triu_indices(len(result.keyframes), k=5)
     return Calibration(certificate, result.similarities[rows, columns])

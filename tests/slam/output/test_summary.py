@@ -74,12 +74,18 @@ def drift(rpe_after=(math.nan, math.nan), verdicts=(True, False, None, None, Non
     )
 
 
-def calibration(**changes):
-    known = {name: () if "curve" in name else 0 for name in Certificate.model_fields}
-    known |= {"recognizer": "w", "fingerprint": "sha256:0", "data": "floors", "pairs": 120}
-    ranges = ("threshold_interval", "recall_interval", "different_places", "same_place")
-    known |= {"resampled": "images", **dict.fromkeys(ranges, (0.25, 0.75)), **changes}
-    return Calibration(Certificate.model_validate(known), np.empty(0, np.float32))
+@pytest.fixture
+def calibration(certificate):
+    """Return a function that calibrates on floors."""
+    (kind,) = certificate.kinds
+
+    def calibrated(threshold=0.8, **changes):
+        found = {"data": "floors", "pairs": 120, "threshold": threshold}
+        kinds = {"kinds": (kind.model_copy(update=found),)}
+        changed = certificate.model_copy(update=kinds | changes)
+        return Calibration(changed, np.empty(0, np.float32))
+
+    return calibrated
 
 
 def lines(result, drift):
@@ -175,13 +181,15 @@ def test_without_truth_or_frames_the_same_keys_are_unknown():
     assert summary["stage_ms_per_frame"] == {}
 
 
-def test_certificate_is_told_without_its_curve():
+def test_certificate_is_told_without_its_curve(calibration):
     assert summarise(result(), None)["certificate"] is None
     assert summarise(result(), None)["min_similarity"] == 0.5
     told = summarise(replace(result(), calibration=calibration()), None)["certificate"]
-    assert set(told) == set(Certificate.model_fields) - {"curve"}
-    assert (told["data"], told["pairs"], told["fingerprint"]) == ("floors", 120, "sha256:0")
-    assert told["threshold_interval"] == [0.25, 0.75]
+    thresholds = {"min_similarity", "threshold"}
+    assert set(told) == set(Certificate.model_fields) - {"curve"} | thresholds
+    assert (told["kinds"][0]["data"], told["fingerprint"]) == ("floors", "sha256:0")
+    assert (told["min_similarity"], told["threshold"]) == (0.6, 0.8)
+    assert told["threshold_interval"] == [0.7, 0.85]
 
 
 def test_the_summary_is_plain_json():
@@ -212,7 +220,7 @@ def test_the_whole_run_in_a_few_lines():
     ]
 
 
-def test_a_certificate_is_told_in_one_line():
+def test_a_certificate_is_told_in_one_line(calibration):
     certified = calibration(threshold=0.75, threshold_interval=(0.625, 0.8))
     (line,) = [
         line

@@ -235,12 +235,14 @@ def test_no_frame_tracked_but_the_first(altered, make: Callable) -> None:
 def test_what_the_recognizer_was_calibrated_on(certified_text: str) -> None:
     page = Page(certified_text)
     for words in (
-        "ie_tower:validation: 288 images, 3 more could not be read",
-        "26127, of which 540 show one place",
-        "from 0.750: 1 % of the pairs of different places are so alike, and 37.0 % of those",
-        "from 0.870, 95 % interval 0.620 to 0.890; it recognises 12.0 % of the pairs of one",
-        "(5.0 % to 16.0 %)",
-        "1000 draws of places; in 7 of them every threshold",
+        "from 0.750, 95 % interval 0.700 to 0.800: 1 % of the pairs of different places are",
+        "in the kind of scene where they are least alike, and 37.0 % of those of one place",
+        "from 0.870, 95 % interval 0.620 to 0.890: 0.1 % of the pairs of different places are so",
+        "where they are most alike, and 12.0 % of those of one place (5.0 % to 16.0 %)",
+        "1000 draws of places",
+        "ie_tower:validation 288, 3 more could not be read 26127 540 0.750, 0.870 0.780: 0.4 %",
+        "0.3 % pass, 75.0 % are cut",
+        "rooms 288 26127 540 0.780, 0.850",
         f"sha256:{'0123456789abcdef' * 4}",
     ):
         assert words in page.text
