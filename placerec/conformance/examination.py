@@ -8,7 +8,14 @@ from time import perf_counter
 
 import numpy as np
 
-from placerec.conformance import answer, recognition, repetition
+from placerec.conformance import (
+    answer,
+    comparison,
+    recognition,
+    repetition,
+    side_effects,
+    threshold,
+)
 from placerec.conformance.made_images import places
 from placerec.conformance.subject import Check, Finding, NamelessError, Outcome, Subject, Verdict
 from placerec.evaluation.measurement import Cost, measure_cost
@@ -16,8 +23,11 @@ from placerec.recognizer import PlaceRecognizer
 
 SECTIONS = {
     "what it returns": answer.CHECKS,
+    "what it does beside that": side_effects.CHECKS,
     "the same image gives the same bytes": repetition.CHECKS,
+    "embeddings are compared": comparison.CHECKS,
     "places are found again": recognition.CHECKS,
+    "min_similarity tells places apart": threshold.CHECKS,
     "what it costs on this machine": repetition.COSTS,
 }
 CHECKS: tuple[Check, ...] = tuple(check for checks in SECTIONS.values() for check in checks)
@@ -57,13 +67,14 @@ class Examination:
         """Return what a check finds; a recognizer that raises has failed it."""
         if check.name not in self._findings:
             passed, measured = self._outcome(check)
-            verdict = {True: Verdict.PASSED, False: Verdict.FAILED, None: Verdict.NOT_TRIED}[passed]
-            self._findings[check.name] = Finding(check, verdict, measured)
+            if not isinstance(passed, Verdict):
+                passed = Verdict.PASSED if passed else Verdict.FAILED
+            self._findings[check.name] = Finding(check, passed, measured)
         return self._findings[check.name]
 
     def cost(self) -> Cost | None:
         """Return what an image costs on this machine, None where it cannot be measured."""
-        if self.find(recognition.similarities).verdict is not Verdict.PASSED:
+        if self.find(comparison.similarities).verdict is not Verdict.PASSED:
             return None
         images, ticks = places(), [perf_counter()]
         with redirect_stdout(io.StringIO()):
@@ -88,11 +99,11 @@ class Examination:
 
     def _outcome(self, check: Check) -> Outcome:
         if obstacle := self._obstacle(check):
-            return None, f"first mend {obstacle!r}"
+            return Verdict.NOT_TRIED, f"first mend {obstacle!r}"
         with redirect_stdout(io.StringIO()):  # what it prints has a check of its own
             try:
                 return check.run(self._subject)
             except NamelessError as reason:
-                return None, f"{reason}"
+                return Verdict.NOT_TRIED, f"{reason}"
             except Exception as error:
                 return False, self._subject.explain(error)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Barrier
-from time import sleep
+from time import perf_counter, sleep
 from types import FrameType
 from typing import Any
 
@@ -14,13 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.conformance.answer import finite, one_shape
-from placerec.conformance.made_images import places
-from placerec.conformance.subject import Outcome, Subject, as_check
+from placerec.conformance.made_images import Image, places
+from placerec.conformance.side_effects import gives_away, leaves_image, leaves_settings
+from placerec.conformance.subject import Outcome, Subject, Verdict, as_check
 from placerec.recognizer import load
 
 _AGAINS = 3
 _THREADS = 4
-_ROUNDS = 2
+_FEW = 3
+_MANY = 256
+_PATIENCE_S = 5.0
+"""For so many; one that takes long for an image is asked fewer times."""
+_ROUNDING = 1e-3
+"""Sums over an image may be taken in the order in which it lies in memory."""
 _PAUSES = 500
 """In each thread; the lines after that run on."""
 _PAUSE_S = 1e-5
@@ -29,7 +35,10 @@ _MAX_KEPT_MB = 0.4
 
 
 @as_check(
-    "the same image again", "seed what is random; switch a network to eval()", one_shape, finite
+    "the same image again",
+    "keep nothing on self; draw from a default_rng(0) made in embed; put a network in eval()",
+    one_shape,
+    finite,
 )
 def _again(subject: Subject) -> Outcome:
     first = places()[0]
@@ -39,15 +48,68 @@ def _again(subject: Subject) -> Outcome:
 
 @as_check("whatever came before", "keep nothing on self from one image to the next", _again)
 def _alone(subject: Subject) -> Outcome:
+    backwards = [subject.embed(image) for image in reversed(places())]
+    return _same(subject.embeddings, backwards[::-1])
+
+
+@as_check(
+    "after many images",
+    "keep no answers: a cache that is full, or a ring that has come round, returns old ones",
+    _alone,
+    gives_away,
+)
+def much_later(subject: Subject) -> Outcome:
+    """Having seen many images, it answers as before, and to each image anew."""
     images = places()
-    backwards = [subject.embed(image) for image in reversed(images)]
-    return _same([subject.embed(image) for image in images], backwards[::-1])
+    early = [np.asarray(subject.recognizer.embed(image.copy())) for image in images[:_FEW]]
+    seen = {embedding.tobytes(): i for i, embedding in enumerate(subject.embeddings)}
+    tells_apart = len(seen) == len(images)
+    others, start_s = 0, perf_counter()
+    while others < _MANY and perf_counter() - start_s < _PATIENCE_S:
+        others += 1
+        place = others % len(images)
+        answer = subject.embed(np.roll(images[place], others, axis=1)).tobytes()
+        if tells_apart and seen.setdefault(answer, place) != place:
+            return False, f"after {others} others, the answer to another image"
+    # Those returned early, as they are by now, and those returned late.
+    found = [*early, *(subject.embed(image) for image in images)]
+    is_same, says = _same(subject.embeddings[:_FEW] + subject.embeddings, found)
+    return is_same, f"{says}, after {others} others"
+
+
+@as_check(
+    "however it lies in memory",
+    "begin with image = np.array(image): rows may be apart, turned round or read-only",
+    leaves_image,
+    much_later,
+)
+def _any_layout(subject: Subject) -> Outcome:
+    usual = subject.embeddings[0]
+    for title, image in _layouts(places()[0]):
+        try:
+            embedding = np.asarray(subject.recognizer.embed(image))
+        except Exception as error:
+            return False, f"{title}: {subject.explain(error)}"
+        gap, largest = np.abs(embedding - usual).max(), np.abs(usual).max()
+        if gap > _ROUNDING * largest:
+            return False, f"{title}: differs by up to {gap:.3g}, of {largest:.3g} at most"
+    return True, ", ".join(title for title, _ in _layouts(places()[0]))
+
+
+def _layouts(image: Image) -> Iterator[tuple[str, Image]]:
+    """Return an image as others make it without copying."""
+    yield "BGR turned round", image[..., ::-1].copy()[..., ::-1]
+    yield "cut out", np.pad(image, ((8, 8), (8, 8), (0, 0)))[8:-8, 8:-8]
+    yield "column by column", np.asfortranarray(image)
+    frozen = image.copy()
+    frozen.flags.writeable = False
+    yield "read-only", frozen
 
 
 @as_check(
     "in another thread",
     "SLAM embeds in a thread of its own: __init__ must make nothing that belongs to its thread",
-    _alone,
+    much_later,
 )
 def _another_thread(subject: Subject) -> Outcome:
     with ThreadPoolExecutor(1) as thread:
@@ -61,7 +123,7 @@ def _another_thread(subject: Subject) -> Outcome:
 )
 def _threads_at_once(subject: Subject) -> Outcome:
     images, start = places(), Barrier(_THREADS)
-    orders = [np.roll(np.arange(len(images)), k).tolist() * _ROUNDS for k in range(_THREADS)]
+    orders = [np.roll(np.arange(len(images)), k).tolist() for k in range(_THREADS)]
 
     def work(order: list[int]) -> list[NDArray[Any]]:
         start.wait()
@@ -98,11 +160,14 @@ def _hesitating(subject: Subject) -> Iterator[None]:
 
 
 @as_check(
-    "by a second instance", "seed what __init__ draws at random, or read it from a file", _alone
+    "by a second instance",
+    "give what __init__ draws its own default_rng(0), or read it from a file",
+    much_later,
+    leaves_settings,
 )
 def _second_instance(subject: Subject) -> Outcome:
     other = Subject(load(subject.name), subject.name)
-    return _same(subject.embeddings, [other.embed(image) for image in places()])
+    return _same(subject.embeddings[:_FEW], [other.embed(image) for image in places()[:_FEW]])
 
 
 @as_check(
@@ -133,9 +198,18 @@ def _same(expected: Sequence[NDArray[Any]], found: Sequence[NDArray[Any]]) -> Ou
 def _keeps_no_images(subject: Subject) -> Outcome:
     kept_mb = subject.fresh_run.kept_mb
     if np.isnan(kept_mb):
-        return None, "only Linux tells how much memory is taken"
+        return Verdict.NOT_TRIED, "only Linux tells how much memory is taken"
     return kept_mb <= _MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image"
 
 
-CHECKS = (_again, _alone, _another_thread, _threads_at_once, _second_instance, fresh_process)
+CHECKS = (
+    _again,
+    _alone,
+    much_later,
+    _any_layout,
+    _another_thread,
+    _threads_at_once,
+    _second_instance,
+    fresh_process,
+)
 COSTS = (_keeps_no_images,)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.checked_recognizer import COSINES, Comparer
-from placerec.conformance.made_images import Image, places
+from placerec.conformance.made_images import GAINS, SHIFT_PX, Image, places, relit, unlike
 from placerec.errors import RecognizerError, cause_of
 from placerec.recognizer import PlaceRecognizer, load
 
@@ -77,7 +77,7 @@ def main() -> None:
         recognizer = load(name)
     except RecognizerError as error:
         sys.exit(str(error))  # the last line of stderr is what the other process looks at
-    embeddings = [np.asarray(recognizer.embed(image.copy())) for image in images]
+    embeddings = [np.array(recognizer.embed(image.copy())) for image in images]
     settled_mb = _status_mb("VmRSS")
     for image in images * _ROUNDS:
         recognizer.embed(image.copy())
@@ -94,6 +94,20 @@ def _status_mb(key: str) -> float:
     return int(rows[key].split()[0]) / 1024
 
 
+def program_settings() -> dict[str, object]:
+    """Return the settings that all of a program shares, by what people call them."""
+    settings: dict[str, object] = {
+        "the current folder": Path.cwd(),
+        "numpy's error settings": np.geterr(),
+    }
+    torch: Any = sys.modules.get("torch")  # whoever has not loaded it has not set it
+    if torch:
+        settings["torch's number of threads"] = torch.get_num_threads()
+        settings["torch's gradient mode"] = torch.is_grad_enabled()
+        settings["torch's default type"] = torch.get_default_dtype()
+    return settings
+
+
 class NamelessError(Exception):
     """Another recognizer of the kind cannot be made, for it was handed over without a name."""
 
@@ -105,10 +119,12 @@ class Subject:
         recognizer: the recognizer.
         compares: whether it compares its embeddings itself; if not, their cosine does.
         comparer: what compares its embeddings, unchecked.
+        settings_before: the program's, as they were before it saw an image.
     """
 
     def __init__(self, recognizer: PlaceRecognizer, name: str | None) -> None:
         """Take a recognizer, and what `load` makes another by; None where nobody knows."""
+        self.settings_before = program_settings()
         self.recognizer = recognizer
         self._name = name
         self.compares = callable(getattr(recognizer, "compare", None))
@@ -116,12 +132,28 @@ class Subject:
 
     def embed(self, image: Image) -> NDArray[Any]:
         """Return as an array what the recognizer makes of a copy of an image, or let it raise."""
-        return np.asarray(self.recognizer.embed(image.copy()))
+        # A copy of the answer too: what becomes of the array that was returned has its own check.
+        return np.array(self.recognizer.embed(image.copy()))
 
     @cached_property
     def embeddings(self) -> list[NDArray[Any]]:
         """What the recognizer makes of each of the places."""
         return [self.embed(image) for image in places()]
+
+    @cached_property
+    def relit(self) -> list[NDArray[Any]]:
+        """What it makes of all places in less light and in more, each (PLACES, *S)."""
+        return [np.stack([self.embed(image) for image in relit(gain)]) for gain in GAINS]
+
+    @cached_property
+    def shifted(self) -> list[NDArray[Any]]:
+        """What it makes of all places with the camera turned a little, (PLACES, *S) alone."""
+        return [np.stack([self.embed(image) for image in places(SHIFT_PX)])]
+
+    @cached_property
+    def unlike(self) -> NDArray[Any]:
+        """What it makes of pictures that have nothing in common, and of the places, (N, *S)."""
+        return np.stack([*(self.embed(image) for image in unlike()), *self.embeddings])
 
     @cached_property
     def fresh_run(self) -> FreshRun:
@@ -154,12 +186,13 @@ class Verdict(StrEnum):
     """Whether a recognizer does what a check asks for; the values are what people read."""
 
     PASSED = "ok"
+    DOUBTFUL = "warn"
     FAILED = "FAIL"
     NOT_TRIED = "--"
 
 
-Outcome = tuple[bool | None, str]
-"""Whether a check passed, None where it was not tried, and in one line the value that says so."""
+Outcome = tuple[bool | Verdict, str]
+"""Whether a check passed, or a verdict between, and in one line the value that says so."""
 
 
 @dataclass(frozen=True)

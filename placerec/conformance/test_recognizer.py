@@ -2,6 +2,7 @@
 """The checks as tests: `pytest --pyargs placerec.conformance --recognizer NAME`."""
 
 import sys
+import warnings
 from collections.abc import Callable
 
 import pytest
@@ -35,5 +36,7 @@ def test_recognizer(
     record_property("measured", finding.measured)
     if finding.verdict is Verdict.NOT_TRIED:
         pytest.skip(finding.measured)
+    if finding.verdict is Verdict.DOUBTFUL:
+        warnings.warn(f"{check.name}: {finding.measured} -> {check.remedy}", stacklevel=1)
     if finding.failed:
         pytest.fail(f"{finding.measured}\n-> {check.remedy}", pytrace=False)

@@ -18,9 +18,9 @@ from placerec.training.config import TrainingConfig
 def test_check_prints_a_table_and_passes(capsys):
     assert main(["check", "placerec.recognizers.gradients:GradientRecognizer"]) == 0
     out = capsys.readouterr().out
-    assert "\n  ok    one shape                   (496,)\n" in out
-    assert re.search(r"\n {8}to embed 640x480            \d+\.\d ms\n", out)
-    assert "\n        to keep 10,000              19.8 MB, 2.0 kB each\n" in out
+    assert "\n  ok    one shape                        (496,)\n" in out
+    assert re.search(r"\n {8}to embed 640x480                 \d+\.\d ms\n", out)
+    assert "\n        to keep 10,000                   19.8 MB, 2.0 kB each\n" in out
     assert out.endswith("\nall checks passed\n")
 
 
@@ -33,11 +33,11 @@ def test_check_of_a_class_in_the_current_folder_that_does_not_conform(
     monkeypatch.chdir(tmp_path)
     assert main(["check", "draft_recognizer:Draft"]) == 1
     out = capsys.readouterr().out
-    assert "\n  FAIL  one shape                   (480, 640, 3)\n" in out
-    assert "\n                                    -> return (D,) for every image: " in out
-    assert "\n  --    3 more                      first mend 'one shape'\n" in out
+    assert "\n  FAIL  one shape                        (480, 640, 3)\n" in out
+    assert "\n                                         -> return (D,) for every image: " in out
+    assert "\n  --    3 more                           first mend 'one shape'\n" in out
     assert "to embed" not in out
-    assert out.endswith("\n2 of 23 checks failed, 16 not tried\n")
+    assert out.endswith("\n2 of 36 checks failed, 26 not tried\n")
 
 
 def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):

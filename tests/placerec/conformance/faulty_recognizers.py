@@ -218,6 +218,7 @@ class Edges(Sound):
 class Maps(Sound):
     """Compares maps by how far apart they are, and returns no vector."""
 
+    min_similarity = 0.75
     looks_back = 0
 
     def embed(self, image):

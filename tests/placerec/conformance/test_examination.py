@@ -2,6 +2,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from placerec.conformance import check
@@ -38,10 +39,13 @@ FAULTS = {
     "Remembers": ("whatever came before", "6 of 6 differ by up to 0.0"),
     "TiedToItsThread": ("in another thread", "RuntimeError: made in another thread (faulty_"),
     "SharedBuffer": ("in several threads at once", ""),
-    "OtherEveryTime": ("by a second instance", "6 of 6 differ by up to "),
+    "OtherEveryTime": ("by a second instance", "3 of 3 differ by up to "),
     "OtherEveryRun": ("in a fresh process", "6 of 6 differ by up to "),
     "OnlyHere": ("in a fresh process", f"recognizer '{MODULE}:OnlyHere' cannot be constructed: OS"),
-    "Transposes": ("similarities from -1 to 1", "similarities of shape (6, 5), not (queries, ref"),
+    "Transposes": (
+        "similarities from -1 to 1",
+        "similarities of shape (12, 11), not (queries, re",
+    ),
     "Distances": ("similarities from -1 to 1", "a similarity of 10; it must lie from -1 to 1"),
     "NoNumbers": (
         "similarities from -1 to 1",
@@ -50,14 +54,44 @@ FAULTS = {
     "DividesByZero": ("similarities from -1 to 1", "ZeroDivisionError: no words (faulty_"),
     "Centres": ("leaves embeddings alone", "288 values changed"),
     "LooksFurtherBack": ("queries one at a time", "largest difference 0.0"),
-    "UnlikeItself": ("an image itself", "0 of 6 found; similarity at least 0."),
-    "Blind": (
-        "an image itself",
-        "0 of 6 found; similarity at least 1.000, to others at",
-    ),
+    "UnlikeItself": ("whichever others are there", "0.1215 among 48 references, 1 among 96"),
+    "Blind": ("unlike pictures are unlike", "the least alike of them: 1.0000, "),
     "Glares": ("darker and brighter", ""),
     "Edges": ("shifted by 16 pixels", "3 of 6 found; similarity at least -0."),
     "Hoards": ("keeps no images", "0.8"),
+}
+
+# Mistakes that people make: by which check each is caught, what was measured, what to do.
+MISTAKES = {
+    "Softmax": ("whichever others are there", " among 112 references, ", "no softmax"),
+    "SharesOfTheBest": ("whichever others are there", "1 among 48 references, ", "or maximum"),
+    "Collapsed": ("unlike pictures are unlike", "of them: 0.9999, 0.98 is", "subtract what all"),
+    "Unreachable": ("min_similarity can be reached", "0 of 18 reach 0.9999999: ", "is too high"),
+    "PassesAll": ("min_similarity keeps others out", "66 of 66 pairs reach 0.2: ", "is too low"),
+    "SeedsNumpy": ("leaves random numbers alone", "numbers of numpy.random are", "your own np."),
+    "SeedsTorch": ("leaves random numbers alone", "numbers of torch are", "torch.Generator()"),
+    "Stale": ("after many images", "the answer to another image", "a cache that is full"),
+    "Stuck": ("after many images", "the answer to another image", "keep no answers"),
+    "Ring": ("after many images", "3 of 9 differ by", "a ring that has come round"),
+    "OneCorner": ("sees all of the image", "4 of 9 parts change", "crop by image.shape[:2]"),
+    "AbsoluteCosine": ("the opposite is unlike", "to its opposite 1.000", "as it is"),
+    "ZeroInTheDark": ("grey and empty images", "black: a vector of length 0", "append 1e-3 to v"),
+    "DarkIsNaN": ("grey and empty images", "black: values that are NaN", "add 1e-6 to a std"),
+    "ExpectsFractions": ("sees all of the image", "2 of 9 parts change", "pixels by 255"),
+    "HalfPrecision": ("unit length", "lengths 0 to 0", "np.append(v, 1e-3)"),
+    "InPlace": ("leaves the image alone", " values changed", "image.copy()"),
+    "OneBuffer": ("gives its answer away", "577 of 577 values changed", "embedding.copy()"),
+    "RunningMean": ("the same image again", "3 of 3 differ by", "keep nothing on self"),
+    "Dropout": ("the same image again", "3 of 3 differ by", "put a network in eval()"),
+    "FixedSize": ("at half the size", "1 of 6 found", "resize every image to one size"),
+    "NeedsRowsInOrder": ("however it lies in memory", "BGR turned round: ValueError", "np.array("),
+    "ChangesFolder": ("leaves the program's settings", "folder is now /", "use full paths"),
+    "SilencesNumpy": ("leaves the program's settings", "'divide': 'ignore'", "np.errstate("),
+    "IndexesOnce": ("other references, other answers", "0 of 36 change", "index of the references"),
+    "Squeezes": ("similarities from -1 to 1", "of shape (), not", "returns (Q, R)"),
+    "DividesByLength": ("similarities from -1 to 1", "that are NaN", "divide by max(norm(v)"),
+    "Smooths": ("queries one at a time", "largest difference 0.5", "let looks_back say"),
+    "ReturnsDistances": ("an image itself", "0 of 6 found", "a distance d is the similarity 1 - d"),
 }
 
 
@@ -101,8 +135,41 @@ def test_a_fault_is_caught_by_the_check_meant_for_it_and_no_other(recognizer):
     assert "\n" not in found.measured
 
 
+@pytest.mark.parametrize("recognizer", MISTAKES)
+def test_a_mistake_is_caught_once_with_what_was_measured_and_what_to_do(
+    recognizer, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)  # one of them changes it
+    caught_by, measured, remedy = MISTAKES[recognizer]
+    with np.errstate():  # and one of them these
+        report = check(load(f"wrong_recognizers:{recognizer}"))
+    (found,) = [finding for finding in report.findings if finding.failed]
+    assert found.check.name == caught_by, str(report)
+    assert measured in found.measured
+    assert remedy in found.check.remedy
+
+
+@pytest.mark.parametrize("recognizer", ["Layout", "GradientRecognizer"])
+def test_what_the_mistakes_were_made_in_passes(recognizer):
+    report = check(load(f"wrong_recognizers:{recognizer}"))
+    assert report.passed, str(report)
+
+
+def test_a_threshold_that_few_views_or_most_pictures_reach_is_doubted(monkeypatch):
+    recognizer = load(f"{MODULE}:Maps")
+    for threshold, name in (
+        (0.95, "min_similarity can be reached"),
+        (0.155, "min_similarity keeps others out"),
+    ):
+        monkeypatch.setattr(type(recognizer), "min_similarity", threshold)
+        report = check(recognizer)
+        assert report.passed, str(report)
+        assert outcomes(report)[name].verdict is Verdict.DOUBTFUL
+
+
 def test_there_is_no_check_that_cannot_fail():
-    assert {caught_by for caught_by, _ in FAULTS.values()} == {check.name for check in CHECKS}
+    caught_by = {caught_by for caught_by, *_ in (*FAULTS.values(), *MISTAKES.values())}
+    assert caught_by == {check.name for check in CHECKS}
 
 
 def outcomes(report):

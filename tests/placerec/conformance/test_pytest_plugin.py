@@ -48,7 +48,7 @@ def test_each_check_is_a_test_that_keeps_what_was_measured(run_pytest, tmp_path)
 def test_a_failure_is_what_was_measured_and_what_to_do_without_a_traceback(run_pytest):
     done = run_pytest("--recognizer", "faulty_recognizers:Long", "-rs")
     assert done.returncode == 1
-    assert "\nlengths 2 to 2\n-> return embedding / np.linalg.norm(embedding)\n" in done.stdout
+    assert "\nlengths 2 to 2\n-> return v / np.linalg.norm(v); " in done.stdout
     assert "first mend 'unit length'" in done.stdout
     assert "1 failed" in done.stdout
     assert "Traceback" not in done.stdout

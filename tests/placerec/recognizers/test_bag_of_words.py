@@ -29,7 +29,7 @@ def recognizer():
 
 def test_conforms(recognizer):
     report = check(recognizer)
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 @pytest.fixture

@@ -140,14 +140,14 @@ def test_it_conforms(weights, photographs, tmp_path):
     words = {name: each for name, each in fitted.arrays.items() if "whitening" not in name}
     write_fitted(tmp_path / "w.safetensors", "netvlad", replace(fitted, arrays=words))
     report = check(NetVlad(tmp_path / "w.safetensors"))
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_what_is_shipped_conforms(real_weights):
     recognizer = NetVlad()
     assert certificate_of(recognizer).min_similarity == recognizer.min_similarity
     report = check(recognizer)
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_it_says_what_it_runs_on(recognizer):

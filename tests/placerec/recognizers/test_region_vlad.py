@@ -75,14 +75,14 @@ def test_residuals_by_hand():
 
 def test_it_conforms(recognizer):
     report = check(recognizer)
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_what_is_shipped_conforms(real_weights):
     recognizer = RegionVlad()
     assert certificate_of(recognizer).min_similarity == recognizer.min_similarity
     report = check(recognizer)
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 def test_nothing_above_zero_is_an_embedding_too(recognizer, monkeypatch):

@@ -108,7 +108,7 @@ def test_brightness_and_contrast_of_a_patch_do_not_count():
 
 def test_conforms():
     report = check(SeqSlam())
-    assert report.passed, report
+    assert report.passed, str(report)
 
 
 class Constant:
