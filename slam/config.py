@@ -151,8 +151,9 @@ class LoopConfig(_Section):
     """Keyframes of one segment that fewer than so many were taken after are not candidates."""
     candidates: Annotated[int, Field(gt=0, le=1000)] = 4
     """Most similar keyframes verified by geometry, per new keyframe."""
-    min_similarity: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
-    """Cosine from which a candidate is verified; default: the recognizer's own threshold."""
+    min_similarity: Literal["adapted"] | Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
+    """Cosine from which a candidate is verified; adapted: the recognizer's own threshold at first,
+    then where the images of this run ask for it; default: the recognizer's own."""
     recognizer_limit_s: PositiveFloat = 60.0
     """A recognizer that takes longer than this for one answer is given up."""
 

@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 from placerec.certificate import Certificate
 from slam.types import Camera, FloatArray, Keyframe, Link, LoopAttempt, Trajectory
 
+_MOSTLY_PASSING = 0.5
+"""A threshold that so many pairs of different places pass sorts hardly anything out."""
+_FEW_PAIRS = 50
+"""Fewer pairs of either kind than this are no ground for a warning."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -41,6 +46,53 @@ class Calibration:
 
     def _share(self, chosen: NDArray[np.bool_]) -> float:
         return float(chosen.mean()) if chosen.size else np.nan
+
+
+@dataclass(frozen=True)
+class ThresholdFit:
+    """What a threshold does, by the pairs met so far.
+
+    Attributes:
+        min_similarity: the threshold, from which matches are verified.
+        adapted: what it is, or would be, adapted to the pairs met.
+        one_place_pairs: how many pairs were known to show one place.
+        other_pairs: how many pairs nothing was known of, which nearly all show different places.
+        cut: share of the pairs of one place that are below, as estimated; NaN where unknown.
+        passing: share of the pairs of different places that are not, as estimated; NaN where
+            unknown or where nearly all show one place.
+    """
+
+    min_similarity: float
+    adapted: float
+    one_place_pairs: int
+    other_pairs: int
+    cut: float
+    passing: float
+
+    @property
+    def explanation(self) -> str:
+        """How reliable the threshold is and where it should be, half a sentence."""
+        seen = f"{self.one_place_pairs} pairs of one place and {self.other_pairs} others met"
+        if np.isnan(self.cut):
+            return f"{seen}, too few to tell how reliable this is"
+        wrong = "an unknown share" if np.isnan(self.passing) else f"{self.passing:.0%}"
+        return (
+            f"{seen}: by estimate, {self.cut:.0%} of the pairs of one place are cut off and {wrong}"
+            f" of those of different places pass; adapted to them it is {self.adapted:.3f}"
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence where the threshold sorts hardly anything out, else none."""
+        few = min(self.one_place_pairs, self.other_pairs)
+        if few < _FEW_PAIRS or not self.passing > _MOSTLY_PASSING:
+            return ()
+        return (
+            f"the recognizer hardly tells places apart here: by estimate, {self.passing:.0%} of the"
+            f" pairs of different places reach the similarity {self.min_similarity:.3f} from which"
+            " matches are verified; geometry alone keeps false loops out (adapted to these images,"
+            f" it is {self.adapted:.3f}: --loop.min-similarity adapted)",
+        )
 
 
 @dataclass(frozen=True)
@@ -86,12 +138,14 @@ class SlamResult:
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
         similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
-        min_similarity: the threshold from which candidates were verified.
+        min_similarity: the threshold from which candidates were verified, the last one where it was
+            adapted.
         untracked_s: timestamps of the frames that are in no trajectory: lost, not joined, or later
             than a failure of the recognizer.
         stage_seconds: total wall time per stage, in the order of the pipeline; some overlap.
         warnings: what a user should know before trusting the result; one sentence each.
         calibration: where the recognizer's threshold comes from, None where nobody says so.
+        threshold: how reliable the threshold is by what was met, None where nobody can tell.
         unjoined_s: those of the untracked frames that are in a part that was not joined.
         session_starts_s: timestamp of the first frame of each session after the first.
         elapsed_s: wall time of the whole run, waiting for frames included.
@@ -123,6 +177,7 @@ class SlamResult:
     unsmoothed: Trajectory | None = None
     given: GivenOdometry | None = None
     missing: tuple[str, ...] = ()
+    threshold: ThresholdFit | None = None
 
     @property
     def corrected(self) -> Trajectory:

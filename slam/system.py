@@ -72,7 +72,7 @@ class Slam:
 
     @property
     def min_similarity(self) -> float:
-        """The similarity from which loop candidates are verified."""
+        """The similarity from which loop candidates are verified now."""
         return self._back_end.loop_closer.min_similarity
 
     @property
@@ -307,9 +307,7 @@ class Slam:
         )
         smooth = salvage.attempt("smoothing", lambda: self._smoothed(trajectory), trajectory)
         leaps = salvage.attempt(
-            "the look for leaps",
-            lambda: impossible_steps(trajectory, self._session_starts_s),
-            (),
+            "the look for leaps", lambda: impossible_steps(trajectory, self._session_starts_s), ()
         )
         return SlamResult(
             camera=self._camera,
@@ -344,6 +342,7 @@ class Slam:
             unsmoothed=trajectory if self._is_smoothed else None,
             given=result_of_given,
             missing=salvage.sentences,
+            threshold=self._back_end.loop_closer.threshold(),
         )
 
     def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:

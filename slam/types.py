@@ -180,6 +180,8 @@ class LoopAttempt:
         outcome: the motion of a loop in use (reference = match), or why it is not in use.
         weight: the pose graph's final trust in a loop that it was given, 0 (ignored) to 1; None
             before the graph was solved and for candidates that it was not given.
+        min_similarity: from which candidates were verified when it was looked at, None where that
+            is the same in the whole run.
     """
 
     query_id: int
@@ -188,6 +190,7 @@ class LoopAttempt:
     verification: Verification | None
     outcome: RelativePose | Rejection
     weight: float | None = None
+    min_similarity: float | None = None
 
     @property
     def rejection(self) -> Rejection | None:

@@ -196,7 +196,9 @@ class BackEnd:
         for k, T in solution.T_world_kf.items():
             T_world_kf[k], T_start_kf[k] = T, without.T_world_kf[k]
         links, steps = tuple(graph.links), tuple(graph.steps)
-        warnings = (*solution.warnings, *refusals(attempts))
+        threshold = self.loop_closer.threshold()
+        doubts = threshold.warnings if threshold else ()
+        warnings = (*solution.warnings, *refusals(attempts), *doubts)
         return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings, largest.trust, steps)
 
     def unsolved(self, T_odom_kf: Mapping[int, FloatArray]) -> ClosedLoops:

@@ -11,14 +11,25 @@ from placerec.checked_recognizer import CheckedRecognizer
 from placerec.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
+from slam.geometry import se3
 from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
-from slam.result import Calibration
+from slam.loops.adaptive_threshold import AdaptiveThreshold
+from slam.result import Calibration, ThresholdFit
 from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
+
+_ONE_PLACE = 0.6
+"""Metres plus radians below which two views are of one place (eq. 10)."""
+_KNOWN_PATH = 5.0 * _ONE_PLACE
+"""Odometry has hardly drifted between keyframes with so much of its path between them."""
 
 
 class LoopCloser:
-    """Retrieve by similarity, verify by geometry; no candidate goes unrecorded."""
+    """Retrieve by similarity, verify by geometry; no candidate goes unrecorded.
+
+    Attributes:
+        min_similarity: from which candidates are verified now.
+    """
 
     def __init__(
         self,
@@ -36,7 +47,13 @@ class LoopCloser:
         self._looked_at: list[NDArray[np.bool_]] = []
         self._index = PlaceIndex(self._recognizer)
         chosen = loop_config.min_similarity
-        self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
+        own = self._recognizer.min_similarity
+        self.min_similarity = chosen if isinstance(chosen, float) else own
+        self._is_adapted = chosen == "adapted"
+        # Where sequences are compared, neighbours in time are alike for what they share.
+        is_blind = self._recognizer.looks_back > 0
+        self._adaptive = None if is_blind else AdaptiveThreshold(self.min_similarity)
+        self._path: list[float] = []  # metres plus radians until each keyframe
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) RGB image.
@@ -69,6 +86,7 @@ class LoopCloser:
             self._attempt(keyframe, self._keyframes[match_id], float(similarity))
             for match_id, similarity in zip(ids[:count], similarities[:count], strict=True)
         )
+        self._adapt(keyframe, embedding, is_candidate)
         self._keyframes.append(keyframe)
         self._looked_at.append(is_candidate)
         self._index.add(embedding)
@@ -101,6 +119,32 @@ class LoopCloser:
         live = np.concatenate([np.empty(0, np.float32), *pairs])
         return Calibration(self._certificate, live)
 
+    def threshold(self) -> ThresholdFit | None:
+        """Return how reliable the threshold in use is, None where nobody can tell."""
+        return self._adaptive.fit(self.min_similarity) if self._adaptive else None
+
+    def _adapt(
+        self,
+        keyframe: Keyframe,
+        embedding: NDArray[np.float32],
+        is_candidate: NDArray[np.bool_],
+    ) -> None:
+        """Learn from a keyframe how alike views of one place, and of different ones, are here."""
+        if self._adaptive is None:
+            return
+        path = self._path[-1] + _distance(self._keyframes[-1], keyframe) if self._path else 0.0
+        distances = np.where(is_candidate, np.nan, np.inf)
+        for k in reversed(range(len(self._keyframes))):
+            before = self._keyframes[k]
+            if before.segment != keyframe.segment or path - self._path[k] > _KNOWN_PATH:
+                break
+            distances[k] = _distance(before, keyframe) / _ONE_PLACE
+        self._path.append(path)
+        ids, similarities = self._index.query(embedding, count=len(distances))
+        self._adaptive.meet(similarities, distances[ids])
+        if self._is_adapted:
+            self.min_similarity = self._adaptive.min_similarity
+
     def _most_similar(
         self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_]
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
@@ -114,7 +158,9 @@ class LoopCloser:
     def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
         if similarity < self.min_similarity:
             rejection = Rejection(RejectionReason.LOW_SIMILARITY, similarity, self.min_similarity)
-            return LoopAttempt(query.id, match.id, similarity, None, rejection)
+            return LoopAttempt(
+                query.id, match.id, similarity, None, rejection, min_similarity=self.min_similarity
+            )
         config = self._verification_config
         verification = estimate_relative_pose(match.features, query.features, self._camera, config)
         outcome = verification.outcome
@@ -125,4 +171,17 @@ class LoopCloser:
             share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
             if share > most:
                 outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, share, most)
-        return LoopAttempt(query.id, match.id, similarity, verification, outcome)
+        return LoopAttempt(
+            query.id,
+            match.id,
+            similarity,
+            verification,
+            outcome,
+            min_similarity=self.min_similarity,
+        )
+
+
+def _distance(a: Keyframe, b: Keyframe) -> float:
+    """Return metres plus radians between two keyframes of a segment, by odometry (eq. 10)."""
+    T_a_b = se3.inverse(a.T_odom_cam) @ b.T_odom_cam
+    return float(np.linalg.norm(T_a_b[:3, 3]) + se3.rotation_angle(T_a_b))

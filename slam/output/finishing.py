@@ -11,7 +11,7 @@ from slam.config import Config
 from slam.loops.back_end import ClosedLoops
 from slam.loops.loop_closure import LoopCloser
 from slam.output.journal import Journal
-from slam.result import Calibration, SlamResult
+from slam.result import Calibration, SlamResult, ThresholdFit
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
@@ -100,10 +100,16 @@ class _RecordedLoops(LoopCloser):
         self, keyframe: Keyframe, embedding: NDArray[np.float32], linked_ids: Sequence[int] = ()
     ) -> tuple[LoopAttempt, ...]:
         self._count += 1
-        return tuple(self._attempts.get(keyframe.id, ()))
+        attempts = tuple(self._attempts.get(keyframe.id, ()))
+        if attempts and attempts[-1].min_similarity is not None:  # the last one counts
+            self.min_similarity = attempts[-1].min_similarity
+        return attempts
 
     def similarities(self) -> NDArray[np.float32]:
         return np.full((self._count, self._count), np.nan, np.float32)
 
     def calibration(self) -> Calibration | None:
+        return None
+
+    def threshold(self) -> ThresholdFit | None:
         return None

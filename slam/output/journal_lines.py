@@ -101,6 +101,8 @@ def attempt_line(attempt: LoopAttempt) -> Line:
         "match": attempt.match_id,
         "similarity": attempt.similarity,
     }
+    if attempt.min_similarity is not None:
+        line["min_similarity"] = attempt.min_similarity
     if rejection := attempt.rejection:
         line["rejection"] = [rejection.reason.name, rejection.measured, rejection.needed]
     if attempt.motion:
@@ -137,5 +139,10 @@ def attempt_of(line: Line) -> LoopAttempt:
             points_m[mask] = line["points_m"]
         verification = Verification(motion or outcome, np.zeros((len(mask), 4)), mask, points_m)
     return LoopAttempt(
-        int(line["query"]), int(line["match"]), float(line["similarity"]), verification, outcome
+        int(line["query"]),
+        int(line["match"]),
+        float(line["similarity"]),
+        verification,
+        outcome,
+        min_similarity=float(line["min_similarity"]) if "min_similarity" in line else None,
     )

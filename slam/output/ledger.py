@@ -55,7 +55,7 @@ class LoopRecord:
     Attributes:
         query_id, match_id: keyframe ids; the query is the later one.
         query_timestamp_s, match_timestamp_s: seconds.
-        similarity, min_similarity: of the two embeddings, and from where one is verified.
+        similarity, min_similarity: of the two embeddings, and from where one was verified then.
         accepted: whether geometry and the pose graph both believe the loop.
         reason: stable code of the rejection, such as `few_inliers`; None if accepted.
         explanation: the same in words.
@@ -102,7 +102,7 @@ def write_ledger(path: Path, result: SlamResult, drift: DriftReport | None) -> N
 
 
 def ledger_line(loop: Decision, min_similarity: float) -> str:
-    """Return a decision's line of the ledger, with the threshold that was in use."""
+    """Return a decision's line of the ledger, with the threshold where the decision knows none."""
     return json.dumps(asdict(_record(loop, min_similarity)), allow_nan=False)
 
 
@@ -133,6 +133,8 @@ def loop_records(result: SlamResult, drift: DriftReport | None) -> tuple[LoopRec
 
 def _record(loop: Decision, min_similarity: float) -> LoopRecord:
     attempt, rejection = loop.attempt, loop.attempt.rejection
+    if attempt.min_similarity is not None:
+        min_similarity = attempt.min_similarity
     truth = None
     if loop.truth is not None and not math.isnan(loop.truth.true_distance_m):
         *errors, is_false, nees = astuple(loop.truth)

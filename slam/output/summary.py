@@ -31,7 +31,10 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits, None where it says nothing of how the camera turned.
-    - min_similarity: the one from which candidates were verified.
+    - min_similarity: the one from which candidates were verified, in the end where it was adapted.
+    - threshold: how reliable it is by the images met: what it is, or would be, adapted to them, the
+      pairs of keyframes learnt from, and by estimate the share of the pairs of one place that it
+      cuts off and of those of different places that pass; None where that is unknown.
     - certificate: what the recognizer was calibrated on and to, its curve apart; None without one.
     - frames_live: those of the tracked of which was known when they came where they are.
     - ate_*_m, rpe_translation_*_m, rpe_rotation_*_deg: root mean square errors of the frames, by
@@ -73,6 +76,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "loops_judged": len(verdicts) if drift else None,
         "loops_false": sum(verdicts) if drift and not drift.unjudged else None,
         "min_similarity": result.min_similarity,
+        "threshold": _threshold(result),
         "certificate": _told(calibration.certificate) if calibration else None,
         **_errors(drift),
         "elapsed_s": result.elapsed_s,
@@ -86,19 +90,33 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     }
 
 
-def _errors(drift: DriftReport | None) -> dict[str, object]:
-    def known(value: float | None) -> float | None:
-        return value if value is not None and math.isfinite(value) else None
+def _threshold(result: SlamResult) -> dict[str, float | None] | None:
+    fit = result.threshold
+    if fit is None:
+        return None
+    return {
+        "adapted": fit.adapted,
+        "one_place_pairs": fit.one_place_pairs,
+        "other_pairs": fit.other_pairs,
+        "one_place_cut": _known(fit.cut),
+        "different_places_passing": _known(fit.passing),
+    }
 
+
+def _known(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _errors(drift: DriftReport | None) -> dict[str, object]:
     errors = {name: getattr(drift, name) if drift else None for name in _TRAJECTORIES}
     return {
-        **{f"ate_{name}_m": known(each and each.ate_rmse_m) for name, each in errors.items()},
+        **{f"ate_{name}_m": _known(each and each.ate_rmse_m) for name, each in errors.items()},
         **{
-            f"rpe_translation_{name}_m": known(each and each.rpe_translation_m)
+            f"rpe_translation_{name}_m": _known(each and each.rpe_translation_m)
             for name, each in errors.items()
         },
         **{
-            f"rpe_rotation_{name}_deg": known(each and each.rpe_rotation_deg)
+            f"rpe_rotation_{name}_deg": _known(each and each.rpe_rotation_deg)
             for name, each in errors.items()
         },
         "rpe_interval_s": drift.rpe_interval_s if drift else None,
@@ -108,8 +126,8 @@ def _errors(drift: DriftReport | None) -> dict[str, object]:
         "matched_share": drift.corrected.matched_share if drift else None,
         "truth_coverage": drift.coverage if drift else None,
         "truth_length_m": drift.truth_length_m if drift else None,
-        "nees_links_median": known(drift.median_links_nees if drift else None),
-        "nees_loops_median": known(drift.median_loops_nees if drift else None),
+        "nees_links_median": _known(drift.median_links_nees if drift else None),
+        "nees_loops_median": _known(drift.median_loops_nees if drift else None),
     }
 
 
@@ -131,6 +149,7 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         ("frames", f"{tracked} of {tracked + len(result.untracked_s)} tracked"),
         ("keyframes", f"{len(result.keyframes)}"),
         ("recognizer", f"verifies from similarity {result.min_similarity:.3f}, {_origin(result)}"),
+        *([("", result.threshold.explanation)] if result.threshold else []),
         ("loops", loops),
         *(_drift_rows(drift) if drift else ()),
     ]

@@ -199,6 +199,8 @@ def test_links_tie_every_keyframe_and_attempts_look_back(result):
         assert (attempt.weight is not None) == isinstance(attempt.outcome, RelativePose)
     assert result.similarities.shape == (count, count)
     assert result.min_similarity == GradientRecognizer.min_similarity
+    assert result.threshold.min_similarity == result.min_similarity
+    assert result.threshold.one_place_pairs > 0
 
 
 def test_all_links_and_accepted_loops_come_into_the_graph(again):

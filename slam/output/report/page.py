@@ -87,6 +87,7 @@ def write_report(
         and not np.isclose(
             result.min_similarity, result.calibration.certificate.min_similarity, atol=1e-6
         ),
+        moved=len({each.min_similarity for each in result.attempts}) > 1,
         paths=paths,
         settings=settings_toml,
         versions=_versions(),

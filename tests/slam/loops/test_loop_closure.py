@@ -373,3 +373,61 @@ def test_those_of_one_segment_may_be_left_out(views):
     close_all(loop_closer, views, [0, 1, 0, 1, 1])
     assert loop_closer.most_similar(direction(4), but_segment=1) == [2, 0]
     assert loop_closer.most_similar(direction(4), but_segment=0) == [4, 3]
+
+
+def walk(views, count, step_m, rng, **loop):
+    """Close loops of a camera that goes straight ahead, each view half new.
+
+    Neighbours are alike by cos 45 degrees or so, and the less the more views there are between.
+    """
+    loop_closer = closer(Scripted(), camera=views.camera, **loop)
+    attempts, last = [], np.zeros(64, np.float32)
+    for number in range(count):
+        each = keyframe(number, views.reference)
+        T_odom_cam = se3.from_rotation_translation(np.eye(3), [number * step_m, 0.0, 0.0])
+        embedding = rng.normal(0.0, 1.0, 64).astype(np.float32)
+        embedding = last + embedding / np.linalg.norm(embedding)
+        last = (embedding / np.linalg.norm(embedding)).astype(np.float32)
+        each = replace(each, T_odom_cam=T_odom_cam)
+        attempts.extend(loop_closer.close(each, last))
+    return loop_closer, attempts
+
+
+def test_the_threshold_moves_to_where_views_of_one_place_are_here(views):
+    loop_closer, attempts = walk(views, 80, 0.5, np.random.default_rng(0), min_similarity="adapted")
+    fit = loop_closer.threshold()
+    assert fit.one_place_pairs == 79
+    assert loop_closer.min_similarity == fit.min_similarity == fit.adapted < 0.6
+    assert attempts[0].min_similarity == 0.8
+    assert attempts[-1].min_similarity == pytest.approx(fit.min_similarity, abs=0.01)
+    again, _ = walk(views, 80, 0.5, np.random.default_rng(0), min_similarity="adapted")
+    assert again.threshold() == fit
+
+
+@pytest.mark.parametrize(("given", "fixed"), [(0.75, 0.75), (None, 0.8)])
+def test_a_threshold_stays_unless_it_is_to_be_adapted(views, given, fixed):
+    loop_closer, attempts = walk(views, 40, 0.5, np.random.default_rng(0), min_similarity=given)
+    assert loop_closer.min_similarity == loop_closer.threshold().min_similarity == fixed
+    assert loop_closer.threshold().adapted < fixed
+    assert {each.min_similarity for each in attempts} == {fixed}
+
+
+def test_far_neighbours_are_of_no_place_that_is_known(views):
+    loop_closer, _ = walk(views, 40, 0.7, np.random.default_rng(0), min_similarity="adapted")
+    assert loop_closer.threshold().one_place_pairs == 0
+    assert loop_closer.min_similarity == 0.8
+
+
+def test_keyframes_beyond_the_known_path_say_nothing_of_one_place(views):
+    loop_closer = closer(camera=views.camera, min_gap=50)
+    for number in range(40):  # to and fro
+        T_odom_cam = se3.from_rotation_translation(np.eye(3), [0.5 * (number % 2), 0.0, 0.0])
+        each = replace(keyframe(number, views.reference), T_odom_cam=T_odom_cam)
+        loop_closer.close(each, direction(0))
+    # Of each, the six before it are no more than 3 m of path away.
+    assert loop_closer.threshold().one_place_pairs == sum(min(k, 6) for k in range(40))
+    assert loop_closer.threshold().other_pairs == 0
+
+
+def test_recognizers_that_compare_sequences_keep_their_threshold(views):
+    assert closer(Levels(), camera=views.camera).threshold() is None

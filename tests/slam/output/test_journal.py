@@ -15,8 +15,9 @@ from slam.system import Slam
 from slam.types import Rejection, SlamError
 
 
-def header_of(slam, sequence):
-    return Header("room", "run_slam room", sequence.camera, slam.min_similarity, None, ("doubt",))
+def header_of(sequence):
+    threshold = GradientRecognizer.min_similarity  # before the run adapts it
+    return Header("room", "run_slam room", sequence.camera, threshold, None, ("doubt",))
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def kept(tmp_path_factory, frames, sequence):
     folder = tmp_path_factory.mktemp("unfinished")
     slam = Slam(sequence.camera, GradientRecognizer())
     found = []
-    with JournalWriter(folder, header_of(slam, sequence), slam) as writer:
+    with JournalWriter(folder, header_of(sequence), slam) as writer:
         writer.start_session()
         for frame in frames:
             found.append((frame.timestamp_s, slam.process(frame)))
@@ -71,8 +72,8 @@ def test_loops_are_read_back(kept):
 
 
 def test_the_header_is_read_back(kept, sequence):
-    folder, _, slam = kept
-    assert read_journal(folder).header == header_of(slam, sequence)
+    folder, _, _ = kept
+    assert read_journal(folder).header == header_of(sequence)
 
 
 def test_trajectory_and_ledger_so_far_are_those_formats(kept, T_first_cam):
@@ -120,7 +121,7 @@ def test_a_pipe_is_no_journal(tmp_path):
 def test_it_is_on_disk_while_the_run_goes_on(tmp_path, sequence, monkeypatch):
     monkeypatch.setattr(journal, "_EVERY_S", 0.01)
     slam = Slam(sequence.camera, GradientRecognizer())
-    with JournalWriter(tmp_path, header_of(slam, sequence), slam) as writer:
+    with JournalWriter(tmp_path, header_of(sequence), slam) as writer:
         writer.add(1.0, Rejection("none", 0.0, 1.0))
         deadline = time.monotonic() + 30.0
         while not read_journal(tmp_path).frames and time.monotonic() < deadline:
@@ -132,7 +133,7 @@ def test_a_run_is_worth_more_than_its_journal(tmp_path, sequence, monkeypatch):
     slam = Slam(sequence.camera, GradientRecognizer())
     folder = tmp_path / "unfinished"
     folder.mkdir()
-    with JournalWriter(folder, header_of(slam, sequence), slam) as writer:
+    with JournalWriter(folder, header_of(sequence), slam) as writer:
         folder.rename(tmp_path / "gone")
         writer.add(1.0, Rejection("none", 0.0, 1.0))
     assert isinstance(writer.failure, FileNotFoundError)

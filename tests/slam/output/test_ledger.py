@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,13 @@ def test_a_loop_below_the_threshold_was_never_shown_to_geometry():
     record = loop_records(result(), drift())[2]
     assert (record.similarity, record.min_similarity) == (0.1, 0.5)
     assert record.matches is record.inliers is record.truth is None
+
+
+def test_a_decision_has_the_threshold_that_applied_then():
+    found = result()
+    first, *others = found.attempts
+    found = replace(found, attempts=(replace(first, min_similarity=0.25), *others))
+    assert [record.min_similarity for record in loop_records(found, None)] == [0.25, 0.5, 0.5, 0.5]
 
 
 def test_a_loop_the_graph_ignores_is_outvoted_but_keeps_its_motion():

@@ -12,7 +12,7 @@ from placerec.certificate import Certificate
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import LoopTruth
 from slam.output.summary import summarise, summary_table
-from slam.result import Calibration, SlamResult
+from slam.result import Calibration, SlamResult, ThresholdFit
 from slam.types import (
     Camera,
     Keyframe,
@@ -179,6 +179,20 @@ def test_without_truth_or_frames_the_same_keys_are_unknown():
         assert summary[name] is None
     assert summary["frames_per_second"] is None
     assert summary["stage_ms_per_frame"] == {}
+
+
+def test_a_threshold_is_told_with_its_reliability():
+    assert summarise(result(), None)["threshold"] is None
+    adapted = replace(result(), threshold=ThresholdFit(0.5, 0.25, 40, 900, 0.03, np.nan))
+    assert summarise(adapted, None)["threshold"] == {
+        "adapted": 0.25,
+        "one_place_pairs": 40,
+        "other_pairs": 900,
+        "one_place_cut": 0.03,
+        "different_places_passing": None,
+    }
+    shown = summary_table(adapted, None, Path("out"))
+    assert "40 pairs of one place and 900 others met" in shown and "it is 0.250" in shown
 
 
 def test_certificate_is_told_without_its_curve(calibration):

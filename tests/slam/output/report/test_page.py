@@ -16,7 +16,7 @@ import pytest
 from placerec import drawing
 from slam.evaluation.motion_truth import LoopTruth
 from slam.output.report.page import write_report
-from slam.result import SlamResult
+from slam.result import SlamResult, ThresholdFit
 from slam.types import RejectionReason, RelativePose, Trajectory
 
 SECTIONS = (
@@ -264,6 +264,13 @@ def test_live_similarities_stand_beside_the_calibrated_range(certified) -> None:
 def test_a_run_that_verified_from_another_similarity_says_so(certified) -> None:
     page = page_of(replace(certified.result, min_similarity=0.5))
     assert "this run verified from 0.500" in page.text
+
+
+def test_a_threshold_is_told_with_its_reliability(certified) -> None:
+    fit = ThresholdFit(0.5, 0.75, 40, 900, 0.03, 0.6)
+    page = page_of(replace(certified.result, min_similarity=0.5, threshold=fit))
+    assert "of 0.500 (40 pairs of one place and 900 others met" in page.text
+    assert "60% of those of different places pass" in page.text
 
 
 def test_a_certificate_without_any_pair_to_compare_has_a_page(certified) -> None:
