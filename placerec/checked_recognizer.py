@@ -168,6 +168,11 @@ class CheckedRecognizer:
         self.looks_back = looks_back
         self._ask = _ask_here if limit_s is None else _Helper(limit_s).ask
 
+    @property
+    def comparer(self) -> Comparer:
+        """What compares its embeddings: itself, or COSINES unless the recognizer has its own."""
+        return COSINES if self._comparer is COSINES else self
+
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) uint8 RGB image.
 

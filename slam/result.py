@@ -13,6 +13,15 @@ _MOSTLY_PASSING = 0.5
 """A threshold that so many pairs of different places pass sorts hardly anything out."""
 _FEW_PAIRS = 50
 """Fewer pairs of either kind than this are no ground for a warning."""
+_MOST_COMPARED = 400
+
+
+def compared(count: int) -> range:
+    """Return which of so many keyframes a result compares, all with each other.
+
+    They are every n-th: as many as can be told apart in a picture, and enough for shares of pairs.
+    """
+    return range(0, count, max(1, -(-count // _MOST_COMPARED)))
 
 
 @dataclass(frozen=True)
@@ -21,11 +30,13 @@ class Calibration:
 
     Attributes:
         certificate: the recognizer's own.
-        live_similarities: (M,) float32, similarities of all pairs of keyframes that could be loops.
+        live_similarities: (M,) float32, of all pairs of `compared` keyframes that could be loops.
+        step: every so many-th keyframe is compared.
     """
 
     certificate: Certificate
     live_similarities: NDArray[np.float32]
+    step: int = 1
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -137,7 +148,8 @@ class SlamResult:
             `motion.smooth` asks for smoothing and the camera was tracked here.
         links: odometry and co-visibility motions of the pose graph.
         attempts: every loop candidate in the order it was looked at, with its final weight.
-        similarities: (K, K) float32, between all keyframes' embeddings, -1 to 1.
+        similarities: (N, N) float32, -1 to 1, between the embeddings of the `compared` keyframes:
+            all of up to 400, else every n-th.
         min_similarity: the threshold from which candidates were verified, the last one where it was
             adapted.
         untracked_s: timestamps of the frames that are in no trajectory: lost, not joined, or later

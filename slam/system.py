@@ -21,7 +21,7 @@ from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
 from slam.mapping.map_adjustment import size_warning
-from slam.result import Calibration, SlamResult
+from slam.result import Calibration, SlamResult, compared
 from slam.stage_clock import StageClock
 from slam.tracking.frame_log import FrameLog, LoggedFrame, check_frame
 from slam.tracking.odometry import RgbdOdometry
@@ -295,10 +295,11 @@ class Slam:
                 lambda: self._external.corrected(trajectory, loops.trust, loops.steps),
                 None,
             )
+        size = len(compared(len(keyframes)))
         similarities, calibration = salvage.attempt(
             "how alike the keyframes are",
             self._similarities,
-            (np.full((len(keyframes), len(keyframes)), np.nan, np.float32), None),
+            (np.full((size, size), np.nan, np.float32), None),
         )
         live = salvage.attempt(
             "the live trajectory",
@@ -360,7 +361,8 @@ class Slam:
             return *adjusted(self._odometry.map, loops), ()
 
     def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
-        return self._back_end.similarities(), self._back_end.loop_closer.calibration()
+        similarities = self._back_end.similarities()
+        return similarities, self._back_end.loop_closer.calibration(similarities)
 
     def _read_external(
         self, T_odom_kf: dict[int, FloatArray], stamps_s: FloatArray

@@ -236,7 +236,7 @@ class BackEnd:
         return solve(graph, self._inlier_probability)
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), how alike all keyframes are, -1 to 1."""
+        """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""
         return self.loop_closer.similarities()
 
     def _next_result(self) -> tuple[LoopAttempt, ...]:

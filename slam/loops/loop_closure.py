@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds the earlier keyframes that show the same place, and accounts for every candidate."""
 
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +16,15 @@ from slam.geometry import se3
 from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
-from slam.result import Calibration, ThresholdFit
+from slam.result import Calibration, ThresholdFit, compared
 from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
 
 _ONE_PLACE = 0.6
 """Metres plus radians below which two views are of one place (eq. 10)."""
 _KNOWN_PATH = 5.0 * _ONE_PLACE
 """Odometry has hardly drifted between keyframes with so much of its path between them."""
+_MOST_MET = 400
+"""Of many more places every n-th shows as well how alike different ones are."""
 
 
 class LoopCloser:
@@ -44,8 +47,9 @@ class LoopCloser:
         self._loop_config = loop_config
         self._verification_config = verification_config
         self._keyframes: list[Keyframe] = []
-        self._looked_at: list[NDArray[np.bool_]] = []
-        self._index = PlaceIndex(self._recognizer)
+        self._segments = array("q")  # of each keyframe
+        self._linked_ids: list[Sequence[int]] = []  # to each keyframe
+        self._index = PlaceIndex(self._recognizer.comparer)
         chosen = loop_config.min_similarity
         own = self._recognizer.min_similarity
         self.min_similarity = chosen if isinstance(chosen, float) else own
@@ -75,10 +79,7 @@ class LoopCloser:
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        old_enough = len(self._keyframes) + 1 - self._loop_config.min_gap
-        is_other = np.array([each.segment != keyframe.segment for each in self._keyframes], bool)
-        numbers = np.arange(len(is_other))
-        is_candidate = is_other | ((numbers < old_enough) & ~np.isin(numbers, linked_ids))
+        is_candidate = self._is_candidate(len(self._keyframes), keyframe.segment, linked_ids)
         ids, similarities = self._most_similar(embedding, is_candidate)
         # The best of those that are not similar enough answers "why was there no loop?".
         count = max(1, int(np.count_nonzero(similarities >= self.min_similarity)))
@@ -88,7 +89,8 @@ class LoopCloser:
         )
         self._adapt(keyframe, embedding, is_candidate)
         self._keyframes.append(keyframe)
-        self._looked_at.append(is_candidate)
+        self._segments.append(keyframe.segment)
+        self._linked_ids.append(tuple(linked_ids))
         self._index.add(embedding)
         return attempts
 
@@ -102,22 +104,36 @@ class LoopCloser:
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        is_other = np.array([each.segment != but_segment for each in self._keyframes], bool)
+        segments = np.array(self._segments, np.int64)
+        is_other = np.ones(len(segments), bool) if but_segment is None else segments != but_segment
         ids, similarities = self._most_similar(embedding, is_other)
         return [int(k) for k in ids[similarities >= self.min_similarity]]
 
     def similarities(self) -> NDArray[np.float32]:
-        """Return (K, K), how alike all keyframes so far are, -1 to 1."""
-        return self._index.similarities()
+        """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""
+        return self._index.similarities(compared(len(self._keyframes)).step)
 
-    def calibration(self) -> Calibration | None:
-        """Return where the recognizer's threshold comes from and what it met, None if unknown."""
+    def calibration(self, similarities: NDArray[np.float32]) -> Calibration | None:
+        """Return where the recognizer's threshold comes from and what it met, None if unknown.
+
+        What it met are the `similarities` of now.
+        """
         if self._certificate is None:
             return None
-        rows = zip(self.similarities(), self._looked_at, strict=True)
-        pairs = [row[: len(looked_at)][looked_at] for row, looked_at in rows]
-        live = np.concatenate([np.empty(0, np.float32), *pairs])
-        return Calibration(self._certificate, live)
+        pairs, shown = [np.empty(0, np.float32)], compared(len(self._keyframes))
+        for k, row in zip(shown, similarities, strict=True):
+            looked_at = self._is_candidate(k, self._segments[k], self._linked_ids[k])[:: shown.step]
+            pairs.append(row[: len(looked_at)][looked_at])
+        return Calibration(self._certificate, np.concatenate(pairs), shown.step)
+
+    def _is_candidate(
+        self, number: int, segment: int, linked_ids: Sequence[int]
+    ) -> NDArray[np.bool_]:
+        """Return (number,), which keyframes the one with a number may close a loop with."""
+        is_other = np.array(self._segments, np.int64)[:number] != segment
+        numbers = np.arange(number)
+        is_old_enough = numbers < number + 1 - self._loop_config.min_gap
+        return np.asarray(is_other | (is_old_enough & ~np.isin(numbers, linked_ids)))
 
     def threshold(self) -> ThresholdFit | None:
         """Return how reliable the threshold in use is, None where nobody can tell."""
@@ -140,7 +156,10 @@ class LoopCloser:
                 break
             distances[k] = _distance(before, keyframe) / _ONE_PLACE
         self._path.append(path)
-        ids, similarities = self._index.query(embedding, count=len(distances))
+        unknown = np.flatnonzero(np.isnan(distances))
+        is_met = distances < 1.0
+        is_met[unknown[:: max(1, len(unknown) // _MOST_MET)]] = True
+        ids, similarities = self._index.query(embedding, count=len(distances), among=is_met)
         self._adaptive.meet(similarities, distances[ids])
         if self._is_adapted:
             self.min_similarity = self._adaptive.min_similarity
@@ -148,12 +167,7 @@ class LoopCloser:
     def _most_similar(
         self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_]
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        limit = int(np.flatnonzero(is_candidate)[-1]) + 1 if is_candidate.any() else 0
-        wanted = self._loop_config.candidates
-        left_out = limit - int(np.count_nonzero(is_candidate))
-        ids, similarities = self._index.query(embedding, count=wanted + left_out, limit=limit)
-        chosen = np.flatnonzero(is_candidate[ids])[:wanted]
-        return ids[chosen], similarities[chosen]
+        return self._index.query(embedding, self._loop_config.candidates, is_candidate)
 
     def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
         if similarity < self.min_similarity:

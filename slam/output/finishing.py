@@ -11,7 +11,7 @@ from slam.config import Config
 from slam.loops.back_end import ClosedLoops
 from slam.loops.loop_closure import LoopCloser
 from slam.output.journal import Journal
-from slam.result import Calibration, SlamResult, ThresholdFit
+from slam.result import Calibration, SlamResult, ThresholdFit, compared
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
@@ -106,9 +106,10 @@ class _RecordedLoops(LoopCloser):
         return attempts
 
     def similarities(self) -> NDArray[np.float32]:
-        return np.full((self._count, self._count), np.nan, np.float32)
+        size = len(compared(self._count))
+        return np.full((size, size), np.nan, np.float32)
 
-    def calibration(self) -> Calibration | None:
+    def calibration(self, similarities: NDArray[np.float32]) -> Calibration | None:
         return None
 
     def threshold(self) -> ThresholdFit | None:

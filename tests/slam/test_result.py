@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from slam.result import Calibration
+from slam.result import Calibration, compared
 
 
 @pytest.fixture
@@ -30,3 +30,11 @@ def test_what_is_unlike_the_calibration_is_warned_of(calibration):
 def test_without_pairs_nothing_is_known(calibration):
     assert calibration().warnings == ()
     assert math.isnan(calibration().passing) and math.isnan(calibration().outside)
+
+
+@pytest.mark.parametrize(
+    ("count", "step"), [(0, 1), (1, 1), (400, 1), (401, 2), (800, 2), (801, 3), (10_000, 25)]
+)
+def test_so_many_keyframes_are_compared_as_a_picture_can_show(count, step):
+    shown = compared(count)
+    assert shown == range(0, count, step) and len(shown) <= 400

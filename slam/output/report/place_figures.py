@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from placerec.drawing import AFTER, BEFORE, INK, TRUTH, WRONG, draw
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
 from slam.output.report.paths import Paths
-from slam.result import Calibration, SlamResult
-
-_MAX_CELLS = 400
-"""A matrix with more rows than this is thinned out before it is drawn."""
+from slam.result import Calibration, SlamResult, compared
 
 _REJECTED = "rejected"
 _MARKERS = {
@@ -28,24 +25,19 @@ _MARKERS = {
 def similarity_matrix(result: SlamResult, loops: list[Decision]) -> Markup:
     """Draw how similar all keyframes look, with the loop attempts on top."""
     size = len(result.keyframes)
-    values = result.similarities[:: _step(size), :: _step(size)]
     alt = "Heat map of the similarity of all pairs of keyframes, with accepted and rejected loops"
-    return _matrix("similarity", alt, values, size, "similarity", "Greys", loops)
+    return _matrix("similarity", alt, result.similarities, size, "similarity", "Greys", loops)
 
 
 def distance_matrix(paths: Paths, loops: list[Decision]) -> Markup:
     """Draw how far apart all keyframes are: in truth where known, else as corrected."""
     size = len(paths.keyframes_m)
     points = paths.keyframe_truth_m if paths.has_keyframe_truth else paths.keyframes_m
-    points = points[:: _step(size)]
+    points = points[:: compared(size).step]
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
     source = "ground truth" if paths.has_keyframe_truth else "the corrected trajectory"
     alt = f"Heat map of the distance between all pairs of keyframes by {source}"
     return _matrix("distance", alt, distances, size, "distance (m)", "Greys_r", loops)
-
-
-def _step(size: int) -> int:
-    return max(-(-size // _MAX_CELLS), 1)
 
 
 def _matrix(

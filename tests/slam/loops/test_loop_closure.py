@@ -311,13 +311,17 @@ class Certified(Scripted):
         self.certificate = Certificate.model_validate(known | {"fingerprint": fingerprint})
 
 
+def calibration_of(loop_closer):
+    return loop_closer.calibration(loop_closer.similarities())
+
+
 def test_a_certificate_is_put_beside_the_pairs_that_could_be_loops(views):
     recognizer = Certified()
     loop_closer = closer(recognizer, camera=views.camera, min_gap=3)
     run(loop_closer, views, [0, 10, 20, 30, 40])
     new = keyframe(5, views.reference, 50.0)
     loop_closer.close(new, direction(50), linked_ids=[4, 3, 2, 1])  # so 0 is the only one left
-    calibration = loop_closer.calibration()
+    calibration = calibration_of(loop_closer)
     assert calibration.certificate is recognizer.certificate
     angles_deg = [30 - 0, 40 - 0, 40 - 10, 50 - 0]
     np.testing.assert_allclose(
@@ -329,7 +333,7 @@ def test_a_certificate_is_put_beside_the_pairs_that_could_be_loops(views):
 def test_places_unlike_those_calibrated_on_are_warned_of(views):
     loop_closer = closer(Certified(), camera=views.camera, min_gap=3)
     run(loop_closer, views, [0] * 10 + [180] * 10)
-    (warning,) = loop_closer.calibration().warnings
+    (warning,) = calibration_of(loop_closer).warnings
     assert "of the 153 similarities lie outside 0.000 to 1.000" in warning
     assert "calibrated on a room" in warning
 
@@ -337,13 +341,26 @@ def test_places_unlike_those_calibrated_on_are_warned_of(views):
 def test_without_a_certificate_nothing_is_said(views):
     loop_closer = closer(camera=views.camera)
     run(loop_closer, views, [0] * 4)
-    assert loop_closer.calibration() is None
+    assert calibration_of(loop_closer) is None
 
 
 def test_a_certificate_without_any_pair_to_compare_is_told_all_the_same(views):
     loop_closer = closer(Certified(), camera=views.camera)
     run(loop_closer, views, [0])
-    assert len(loop_closer.calibration().live_similarities) == 0
+    assert len(calibration_of(loop_closer).live_similarities) == 0
+
+
+def test_of_very_many_keyframes_every_other_is_compared_with_every_other(views):
+    loop_closer = closer(Certified(), camera=views.camera, min_gap=3, min_similarity=1.0)
+    angles_deg = np.arange(401) * 0.1
+    run(loop_closer, views, angles_deg)
+    similarities = loop_closer.similarities()
+    gaps = np.abs(angles_deg[::2, None] - angles_deg[None, ::2])
+    np.testing.assert_allclose(similarities, np.cos(np.radians(gaps)), atol=1e-6)
+    calibration = calibration_of(loop_closer)
+    rows, columns = np.tril_indices(201, k=-2)  # 4 apart, for the window is of 3
+    np.testing.assert_array_equal(calibration.live_similarities, similarities[rows, columns])
+    assert calibration.step == 2
 
 
 def test_a_certificate_of_another_version_is_refused_at_once():
@@ -354,7 +371,7 @@ def test_a_certificate_of_another_version_is_refused_at_once():
 def test_a_certificate_is_put_beside_pairs_of_two_segments_too(views):
     loop_closer = closer(Certified(), camera=views.camera, min_gap=3)
     close_all(loop_closer, views, [0, 0, 1])
-    live = loop_closer.calibration().live_similarities
+    live = calibration_of(loop_closer).live_similarities
     np.testing.assert_allclose(live, np.cos(np.radians([2, 1])), atol=1e-6)
 
 

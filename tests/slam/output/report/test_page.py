@@ -259,6 +259,9 @@ def test_live_similarities_stand_beside_the_calibrated_range(certified) -> None:
         "of 5 pairs that could be loops, 40.0 % reach 0.750 and 40.0 % lie outside -0.240 to 0.950"
     )
     assert told in page.text
+    thinned = replace(calibration, step=25)
+    page = page_of(replace(certified.result, calibration=thinned))
+    assert "of 5 pairs that could be loops of one keyframe in 25, 40.0 % reach 0.750" in page.text
 
 
 def test_a_run_that_verified_from_another_similarity_says_so(certified) -> None:
