@@ -22,7 +22,7 @@ def test_its_recognizer_conforms():
 
 
 def test_its_commands_are_what_every_change_is_checked_by():
-    install, run_tests = "python -m pip install '.[test]'", "pytest"
+    install, run_tests = "python -m pip install '.[test]'", "pytest -n auto"
     assert f"\n    {install} && {run_tests}\n" in README
     steps = (ROOT / ".ci" / "run").read_text()
     assert f"\nstep {install}\nstep {run_tests}" in steps
