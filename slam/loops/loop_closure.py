@@ -13,12 +13,13 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
 from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
+from slam.loops.second_look import SecondLook
 from slam.result import Calibration
 from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
 
 
 class LoopCloser:
-    """Retrieve by similarity, verify by geometry; no candidate goes unrecorded."""
+    """Retrieve by similarity, look again, verify by geometry; no candidate goes unrecorded."""
 
     def __init__(
         self,
@@ -35,6 +36,7 @@ class LoopCloser:
         self._keyframes: list[Keyframe] = []
         self._looked_at: list[NDArray[np.bool_]] = []
         self._index = PlaceIndex(self._recognizer)
+        self._second_look = SecondLook(camera, self._recognizer, loop_config.candidates)
         chosen = loop_config.min_similarity
         self.min_similarity = self._recognizer.min_similarity if chosen is None else chosen
 
@@ -62,13 +64,12 @@ class LoopCloser:
         is_other = np.array([each.segment != keyframe.segment for each in self._keyframes], bool)
         numbers = np.arange(len(is_other))
         is_candidate = is_other | ((numbers < old_enough) & ~np.isin(numbers, linked_ids))
-        ids, similarities = self._most_similar(embedding, is_candidate)
+        wanted = max(self._loop_config.second_look, self._loop_config.candidates)
+        ids, similarities = self._most_similar(embedding, is_candidate, wanted)
         # The best of those that are not similar enough answers "why was there no loop?".
         count = max(1, int(np.count_nonzero(similarities >= self.min_similarity)))
-        attempts = tuple(
-            self._attempt(keyframe, self._keyframes[match_id], float(similarity))
-            for match_id, similarity in zip(ids[:count], similarities[:count], strict=True)
-        )
+        matches = [self._keyframes[match_id] for match_id in ids[:count]]
+        attempts = self._look_again(keyframe, matches, similarities[:count])
         self._keyframes.append(keyframe)
         self._looked_at.append(is_candidate)
         self._index.add(embedding)
@@ -85,7 +86,7 @@ class LoopCloser:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
         is_other = np.array([each.segment != but_segment for each in self._keyframes], bool)
-        ids, similarities = self._most_similar(embedding, is_other)
+        ids, similarities = self._most_similar(embedding, is_other, self._loop_config.candidates)
         return [int(k) for k in ids[similarities >= self.min_similarity]]
 
     def similarities(self) -> NDArray[np.float32]:
@@ -102,14 +103,26 @@ class LoopCloser:
         return Calibration(self._certificate, live)
 
     def _most_similar(
-        self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_]
+        self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_], wanted: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         limit = int(np.flatnonzero(is_candidate)[-1]) + 1 if is_candidate.any() else 0
-        wanted = self._loop_config.candidates
         left_out = limit - int(np.count_nonzero(is_candidate))
         ids, similarities = self._index.query(embedding, count=wanted + left_out, limit=limit)
         chosen = np.flatnonzero(is_candidate[ids])[:wanted]
         return ids[chosen], similarities[chosen]
+
+    def _look_again(
+        self, query: Keyframe, matches: Sequence[Keyframe], similarities: NDArray[np.float32]
+    ) -> tuple[LoopAttempt, ...]:
+        looked_at: list[tuple[int, Rejection | None]] = [(k, None) for k in range(len(matches))]
+        if self._loop_config.second_look and (similarities >= self.min_similarity).all():
+            looked_at = self._second_look.choose(query, matches)
+        return tuple(
+            LoopAttempt(query.id, matches[k].id, float(similarities[k]), None, refusal)
+            if refusal
+            else self._attempt(query, matches[k], float(similarities[k]))
+            for k, refusal in looked_at
+        )
 
     def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
         if similarity < self.min_similarity:
