@@ -47,7 +47,9 @@ ACCURACY = {
     "RPE interval, s": "{rpe_interval_s}",
     "median NEES (5.35 is right): links, loops": "{nees_links_median}, {nees_loops_median}",
     "loops tried": "{loops_tried}",
+    "loops verified by geometry": "{loops_verified}",
     "loops accepted": "{loops_accepted}",
+    "keyframes with a loop": "{keyframes_with_loop}",
     "loops outvoted by the graph": "{loops_outvoted}",
     "false loops among the accepted": "{loops_false} of {loops_judged} judged",
 }

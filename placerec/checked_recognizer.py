@@ -4,7 +4,7 @@
 import queue
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from typing import Any, NoReturn, Protocol, cast
 
@@ -79,6 +79,18 @@ def flaw_in(answer: object, shape: tuple[int, int]) -> str | None:
     return None
 
 
+def flaw_in_scores(answer: object, count: int) -> str | None:
+    """Return what is wrong with an answer that should be (count,) scores, None if nothing."""
+    try:
+        values = np.asarray(answer, dtype=np.float64)
+    except Exception:  # whatever the answer's own kind raises
+        return f"a {type(answer).__name__} that is not an array of numbers"
+    if values.shape != (count,):
+        return f"scores of shape {values.shape}, not (candidates,) = {(count,)}"
+    outside = values[~((values >= 0.0) & (values <= 1.0))]
+    return f"a score of {outside[0]:.6g}; it must lie from 0 to 1" if outside.size else None
+
+
 class _Helper:
     """A thread that is asked, and left to itself where it does not answer in time.
 
@@ -131,6 +143,7 @@ class CheckedRecognizer:
 
     Attributes:
         min_similarity: similarity from which a match is worth verifying, finite, -1 to 1.
+        can_rerank: whether the recognizer has a `rerank` of its own.
         looks_back: how many queries before the one in question matter to its similarities.
     """
 
@@ -150,6 +163,10 @@ class CheckedRecognizer:
         own = getattr(recognizer, "compare", None)
         if own is not None and not callable(own):
             raise RecognizerError(f"{self._title} has a compare that is no method")
+        self._rerank = getattr(recognizer, "rerank", None)
+        self.can_rerank = self._rerank is not None
+        if self.can_rerank and not callable(self._rerank):
+            raise RecognizerError(f"{self._title} has a rerank that is no method")
         self._comparer = COSINES if own is None else cast(Comparer, recognizer)
         try:
             self.min_similarity = float(recognizer.min_similarity)
@@ -203,6 +220,25 @@ class CheckedRecognizer:
         if flaw := flaw_in(answer, (len(queries), len(references))):
             self._refuse(flaw)
         return np.clip(np.asarray(answer, np.float32), -1.0, 1.0)
+
+    def rerank(
+        self, query: NDArray[np.uint8], candidates: Sequence[NDArray[np.uint8]]
+    ) -> NDArray[np.float64]:
+        """Return (C,) float64 scores, 0 to 1, of images that look like another: its second look.
+
+        Raises:
+            RecognizerError: it has none, it failed, or its answer is no such scores.
+        """
+        rerank = self._rerank
+        if rerank is None:
+            raise RecognizerError(f"{self._title} has no method rerank(query, candidates)")
+        try:
+            answer = self._ask(lambda: rerank(query, candidates))
+        except (Exception, SystemExit) as error:
+            raise RecognizerError(f"{self._title} failed to rerank: {cause_of(error)}") from error
+        if flaw := flaw_in_scores(answer, len(candidates)):
+            self._refuse(flaw)
+        return np.asarray(answer, np.float64)
 
     def _array(self, answer: object) -> NDArray[np.float64]:
         try:

@@ -37,6 +37,11 @@ class PlaceRecognizer(Protocol):
     the answer is used: the 32 before it come along for methods that compare sequences, or as many
     as `looks_back: int` says, which makes comparing faster where it is 0.
 
+    A method that can tell more of the few most similar images than their embeddings do has a method
+    `rerank(query, candidates)`. It takes a (H, W, 3) uint8 RGB image and a sequence of such, and
+    returns (C,) scores from 0, nothing in common, to 1. While a map is made, images are at half
+    size, and what scores 0 is not verified.
+
     Attributes:
         min_similarity: similarity from which a match is worth verifying, calibrated for this one;
             not one from which it is surely right, for geometry has the last word.

@@ -114,6 +114,7 @@ class RejectionReason(StrEnum):
     """Why a pose could not be estimated or a loop not be accepted."""
 
     LOW_SIMILARITY = "similarity below the recognizer's threshold"
+    SECOND_LOOK = "too little in common at a second look"
     SMEARED = "the image is smeared by motion"
     FEW_MATCHES = "too few descriptor matches with depth"
     NO_POSE = "no pose found by PnP RANSAC"

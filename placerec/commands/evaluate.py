@@ -30,6 +30,7 @@ def evaluate(
     ] = (_ALL,),
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluation"),
     cache: bool = True,
+    second_look: bool = False,
 ) -> int:
     """Measure how well recognizers tell places apart, and what they cost.
 
@@ -58,13 +59,15 @@ def evaluate(
         cache: keep embeddings of recognizers with a fingerprint, by what is in the image, and
             take them from there the next time. The folder, ~/.cache/loopclose/embeddings (or under
             $XDG_CACHE_HOME), may be deleted at any time.
+        second_look: measure each recognizer once more with a second look at the ten images most
+            similar to each, by its own rerank, or by local features where it has none.
     """
     if not data:
         raise RecognizerError("evaluate needs at least one folder of images; see --help")
     try:
         # All that may be wrong with what was asked is found before the long work.
         loaded = _load_all(recognizers or (_ALL,))
-        rows = _measure_all(data, loaded, out, cache)
+        rows = _measure_all(data, loaded, out, cache, second_look)
         say(f"\n{evaluation_table(rows)}\n\n{LEGEND}")
         for note in notes(rows):
             say(note)
@@ -88,6 +91,7 @@ def _measure_all(
     loaded: Mapping[str, PlaceRecognizer | RecognizerError],
     out: Path,
     use_cache: bool,
+    second_look: bool,
 ) -> list[Measurement]:
     datasets = [open_data(source) for source in sources]
     for dataset in datasets:
@@ -102,10 +106,19 @@ def _measure_all(
             if isinstance(recognizer, RecognizerError):
                 rows.append(Failed(dataset, name, str(recognizer)))
                 continue
-            turn = f"{len(rows) + 1}/{len(datasets) * len(loaded)}"
-            with progress_bar(f"{turn} {name} on {dataset.name}", len(dataset)) as progress:
-                found = measure(name, recognizer, dataset, use_cache=use_cache, progress=progress)
-            rows.append(found)
+            for again in (False, True) if second_look else (False,):
+                title = f"{name}, second look" if again else name
+                turn = f"{len(rows) + 1}/{len(datasets) * len(loaded) * (1 + second_look)}"
+                with progress_bar(f"{turn} {title} on {dataset.name}", len(dataset)) as progress:
+                    found = measure(
+                        title,
+                        recognizer,
+                        dataset,
+                        use_cache=use_cache,
+                        second_look=again,
+                        progress=progress,
+                    )
+                rows.append(found)
         say(describe(dataset))
     return rows
 

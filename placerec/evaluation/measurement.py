@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -15,6 +16,7 @@ from placerec.errors import cause_of
 from placerec.evaluation.bootstrap import Intervals, bootstrap
 from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset
 from placerec.evaluation.precision_recall import Evaluation, evaluate
+from placerec.evaluation.second_look import LocalFeatures, look_again
 from placerec.files import Progress
 from placerec.recognizer import PlaceRecognizer
 
@@ -112,6 +114,7 @@ def measure(
     dataset: PlaceDataset,
     *,
     use_cache: bool = True,
+    second_look: bool = False,
     progress: Progress | None = None,
 ) -> Measurement:
     """Return what a recognizer does on a dataset; whatever goes wrong with it is the answer.
@@ -123,6 +126,8 @@ def measure(
             `trained_on: tuple[str, ...]`, names of datasets.
         dataset: images, and the truth about them.
         use_cache: look embeddings up that were kept, and keep them.
+        second_look: look again at each query's most similar references, by the recognizer's own
+            `rerank` where it has one, else by local features.
         progress: told of every image that is done.
     """
     try:
@@ -132,7 +137,13 @@ def measure(
         comparer = CheckedRecognizer(recognizer, name)
         weights: object = getattr(recognizer, "weights", "")
         trained_on = set(getattr(recognizer, "trained_on", ()))
-        found = evaluate(dataset, embedded.embeddings, comparer)
+        refine = partial(
+            look_again,
+            dataset=dataset,
+            second_look=comparer if comparer.can_rerank else LocalFeatures(),
+            min_similarity=comparer.min_similarity,
+        )
+        found = evaluate(dataset, embedded.embeddings, comparer, refine if second_look else None)
         return Measured(
             dataset=dataset,
             recognizer=name,

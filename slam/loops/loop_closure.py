@@ -16,6 +16,7 @@ from slam.geometry import se3
 from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
+from slam.loops.second_look import SecondLook
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
 
@@ -28,7 +29,7 @@ _MOST_MET = 400
 
 
 class LoopCloser:
-    """Retrieve by similarity, verify by geometry; no candidate goes unrecorded.
+    """Retrieve by similarity, look again, verify by geometry; no candidate goes unrecorded.
 
     Attributes:
         min_similarity: from which candidates are verified now.
@@ -50,6 +51,7 @@ class LoopCloser:
         self._segments = array("q")  # of each keyframe
         self._linked_ids: list[Sequence[int]] = []  # to each keyframe
         self._index = PlaceIndex(self._recognizer.comparer)
+        self._second_look = SecondLook(camera, self._recognizer, loop_config.candidates)
         chosen = loop_config.min_similarity
         own = self._recognizer.min_similarity
         self.min_similarity = chosen if isinstance(chosen, float) else own
@@ -80,13 +82,12 @@ class LoopCloser:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
         is_candidate = self._is_candidate(len(self._keyframes), keyframe.segment, linked_ids)
-        ids, similarities = self._most_similar(embedding, is_candidate)
+        wanted = max(self._loop_config.second_look, self._loop_config.candidates)
+        ids, similarities = self._index.query(embedding, wanted, is_candidate)
         # The best of those that are not similar enough answers "why was there no loop?".
         count = max(1, int(np.count_nonzero(similarities >= self.min_similarity)))
-        attempts = tuple(
-            self._attempt(keyframe, self._keyframes[match_id], float(similarity))
-            for match_id, similarity in zip(ids[:count], similarities[:count], strict=True)
-        )
+        matches = [self._keyframes[match_id] for match_id in ids[:count]]
+        attempts = self._look_again(keyframe, matches, similarities[:count])
         self._adapt(keyframe, embedding, is_candidate)
         self._keyframes.append(keyframe)
         self._segments.append(keyframe.segment)
@@ -106,7 +107,7 @@ class LoopCloser:
         """
         segments = np.array(self._segments, np.int64)
         is_other = np.ones(len(segments), bool) if but_segment is None else segments != but_segment
-        ids, similarities = self._most_similar(embedding, is_other)
+        ids, similarities = self._index.query(embedding, self._loop_config.candidates, is_other)
         return [int(k) for k in ids[similarities >= self.min_similarity]]
 
     def similarities(self) -> NDArray[np.float32]:
@@ -164,10 +165,25 @@ class LoopCloser:
         if self._is_adapted:
             self.min_similarity = self._adaptive.min_similarity
 
-    def _most_similar(
-        self, embedding: NDArray[np.float32], is_candidate: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        return self._index.query(embedding, self._loop_config.candidates, is_candidate)
+    def _look_again(
+        self, query: Keyframe, matches: Sequence[Keyframe], similarities: NDArray[np.float32]
+    ) -> tuple[LoopAttempt, ...]:
+        looked_at: list[tuple[int, Rejection | None]] = [(k, None) for k in range(len(matches))]
+        if self._loop_config.second_look and (similarities >= self.min_similarity).all():
+            looked_at = self._second_look.choose(query, matches)
+        return tuple(
+            LoopAttempt(
+                query.id,
+                matches[k].id,
+                float(similarities[k]),
+                None,
+                refusal,
+                min_similarity=self.min_similarity,
+            )
+            if refusal
+            else self._attempt(query, matches[k], float(similarities[k]))
+            for k, refusal in looked_at
+        )
 
     def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
         if similarity < self.min_similarity:

@@ -18,6 +18,7 @@ _MARGINS = {
     RejectionReason.LOW_SIMILARITY: (
         "needed similarity {needed:.3f}, had {measured:.3f}: {short:.3f} short"
     ),
+    RejectionReason.SECOND_LOOK: "needed {needed:.3g} at a second look, had {measured:.3g}",
     RejectionReason.SMEARED: "needed a sharpness of {needed:.2f}, had {measured:.2f}",
     RejectionReason.FEW_MATCHES: _COUNT % "matches with depth",
     RejectionReason.NO_POSE: _COUNT % "matches on one rigid motion",

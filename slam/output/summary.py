@@ -27,8 +27,10 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - warnings: what to know before trusting the result, one sentence each.
     - given_poses, given_verdict: of an odometry from elsewhere, how many poses it had and what the
       images say of it; None without one.
-    - loops_tried, loops_accepted, loops_outvoted: counts; accepted ones are those that both
+    - loops_tried, loops_verified, loops_accepted, loops_outvoted: counts; of the verified ones
+      geometry was asked, the others were left out before; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
+    - keyframes_with_loop: those that have an accepted one to an earlier keyframe.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits, None where it says nothing of how the camera turned.
     - min_similarity: the one from which candidates were verified, in the end where it was adapted.
@@ -71,8 +73,12 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "given_poses": len(result.given.given) if result.given else None,
         "given_verdict": result.given.verdict or None if result.given else None,
         "loops_tried": len(result.attempts),
+        "loops_verified": sum(each.verification is not None for each in result.attempts),
         "loops_accepted": len(rejections) - len(reasons),
         "loops_outvoted": reasons.count(RejectionReason.OUTVOTED),
+        "keyframes_with_loop": len(
+            {attempt.query_id for attempt in result.attempts if attempt.rejection is None}
+        ),
         "loops_judged": len(verdicts) if drift else None,
         "loops_false": sum(verdicts) if drift and not drift.unjudged else None,
         "min_similarity": result.min_similarity,

@@ -23,7 +23,8 @@ def benchmark():
 @pytest.fixture
 def run(benchmark):
     def make(seconds: float, outputs: tuple[bytes, ...] = (b"poses", b"loops")):
-        keys = "frames_tracked frames_untracked loops_tried loops_accepted loops_outvoted"
+        keys = "frames_tracked frames_untracked keyframes_with_loop"
+        keys += " loops_tried loops_verified loops_accepted loops_outvoted"
         errors = "ate rpe_translation rpe_rotation"
         units = {"ate": "m", "rpe_translation": "m", "rpe_rotation": "deg"}
         summary = dict.fromkeys(keys.split(), 10) | {

@@ -179,6 +179,55 @@ def test_a_misbehaving_compare_is_one_line(answer, told, error_of):
     assert any(part in message for part in told.split("|"))
 
 
+class Reranks(Answers):
+    """A recognizer that looks at images a second time, and gives the given answer."""
+
+    def __init__(self, answer):
+        super().__init__()
+        self.answer = answer
+
+    def rerank(self, query, candidates):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+def test_scores_of_a_second_look_are_passed_on(error_of):
+    checked = CheckedRecognizer(Reranks([0, 1]))
+    assert checked.can_rerank
+    found = checked.rerank(IMAGE, [IMAGE, IMAGE])
+    assert found.dtype == np.float64 and found.tolist() == [0.0, 1.0]
+    without = CheckedRecognizer(Answers(), "mine")
+    assert not without.can_rerank
+    assert "no method rerank(query, candidates)" in error_of(without.rerank, IMAGE, [])
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ([0.5], "scores of shape (1,), not (candidates,) = (2,)"),
+        ([[0.5, 0.5]], "scores of shape (1, 2)"),
+        ([0.5, np.nan], "a score of nan; it must lie from 0 to 1"),
+        ([-0.1, 0.5], "a score of -0.1"),
+        ([0.5, np.inf], "a score of inf"),
+        (["much", "little"], "not an array of numbers"),
+        (None, "not an array of numbers|shape ()"),
+        (RuntimeError("out of\nmemory"), "failed to rerank: RuntimeError: out of memory"),
+    ],
+)
+def test_a_misbehaving_rerank_is_one_line(answer, told, error_of):
+    checked = CheckedRecognizer(Reranks(answer), "mine")
+    message = error_of(checked.rerank, IMAGE, [IMAGE, IMAGE])
+    assert message.startswith("recognizer 'mine'")
+    assert any(part in message for part in told.split("|"))
+
+
+def test_rerank_must_be_a_method(error_of):
+    recognizer = Answers()
+    recognizer.rerank = 0.5
+    assert "rerank that is no method" in error_of(CheckedRecognizer, recognizer)
+
+
 def test_how_far_it_looks_back(error_of):
     assert CheckedRecognizer(Compares(None)).looks_back == 32
     assert CheckedRecognizer(Compares(None, looks_back=0)).looks_back == 0

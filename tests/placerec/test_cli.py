@@ -116,6 +116,14 @@ def test_evaluate_leaves_a_page_and_the_figures(drives, tmp_path, capsys):
     assert str(out / "index.html") in capsys.readouterr().out
 
 
+def test_evaluate_looks_a_second_time_where_asked(drives, tmp_path, capsys):
+    out = tmp_path / "again"
+    arguments = ["evaluate", drives, "--recognizers", GRADIENTS, "--out", str(out)]
+    assert main([*arguments, "--second-look"]) == 0
+    names = [row["recognizer"] for row in figures(out)]
+    assert names == [GRADIENTS, f"{GRADIENTS}, second look"]
+
+
 def test_the_second_time_embeddings_are_taken_from_the_cache_unless_told_otherwise(
     drives, tmp_path, later_run, capsys
 ):

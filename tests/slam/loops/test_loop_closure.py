@@ -41,7 +41,7 @@ def closer(recognizer=None, *, camera=None, verification=None, **loop):
     return LoopCloser(
         camera,
         recognizer or Scripted(),
-        LoopConfig(**{"min_gap": 1, **loop}),
+        LoopConfig(**{"min_gap": 1, "second_look": 0, **loop}),
         verification or VerificationConfig(),
     )
 
@@ -448,3 +448,23 @@ def test_keyframes_beyond_the_known_path_say_nothing_of_one_place(views):
 
 def test_recognizers_that_compare_sequences_keep_their_threshold(views):
     assert closer(Levels(), camera=views.camera).threshold() is None
+
+
+def test_what_a_second_look_leaves_out_is_recorded_and_not_verified(views, make_views):
+    other = make_views(T_REF_QUERY, seed=5).reference
+    loop_closer = closer(camera=views.camera, candidates=1, second_look=10)
+    for number, (features, angle_deg) in enumerate([(views.reference, 20), (other, 5)]):
+        loop_closer.close(keyframe(number, features), direction(angle_deg))
+    right, wrong = loop_closer.close(keyframe(2, views.query), direction(0))
+    assert pairs([right, wrong]) == [(2, 0), (2, 1)]  # not the most similar first
+    assert isinstance(right.outcome, RelativePose)
+    assert wrong.verification is None
+    assert wrong.outcome.reason is RejectionReason.SECOND_LOOK
+    assert wrong.outcome.measured < wrong.outcome.needed
+
+
+def test_a_second_look_is_not_taken_at_what_is_not_similar(views):
+    loop_closer = closer(camera=views.camera, second_look=10)
+    loop_closer.close(keyframe(0, views.reference), direction(90))
+    (attempt,) = loop_closer.close(keyframe(1, views.query), direction(0))
+    assert attempt.outcome.reason is RejectionReason.LOW_SIMILARITY

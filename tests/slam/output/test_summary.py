@@ -101,6 +101,7 @@ def test_counts():
     assert (summary["keyframes"], summary["links"]) == (0, 1)
     assert summary["loops_tried"] == 5
     assert summary["loops_accepted"] == 2
+    assert (summary["loops_verified"], summary["keyframes_with_loop"]) == (0, 1)
     assert summary["loops_outvoted"] == 2
     assert (summary["loops_judged"], summary["loops_false"]) == (2, 1)
     assert summary["warnings"] == ["The depth scale looks odd."]
