@@ -230,12 +230,14 @@ def load_config(path: Path) -> Config:
 def _describe(error: ValidationError) -> str:
     """Return the first problem of a validation as one line: setting, value, what is allowed."""
     first = error.errors()[0]
-    name = ".".join(str(part) for part in first["loc"])
+    # What comes after section and setting names one of several kinds of value.
+    name = ".".join(str(part) for part in first["loc"][:2])
     if first["type"] == "extra_forbidden":
         close = get_close_matches(name, _names(), 1)
         hint = f"did you mean {close[0]}? " if close else ""
         return f"there is no setting {name}; {hint}`run_slam --help-all` lists them all"
-    return f"setting {name} = {first['input']!r}: {first['msg']}"
+    of_the_same = [each["msg"] for each in error.errors() if each["loc"][:2] == first["loc"][:2]]
+    return f"setting {name} = {first['input']!r}: {' or '.join(of_the_same)}"
 
 
 def _names() -> list[str]:

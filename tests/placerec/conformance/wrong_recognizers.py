@@ -178,7 +178,9 @@ class RunningMean(Layout):
 class Dropout(Layout):
     def embed(self, image):
         answer = super().embed(image)
-        return unit(answer * (np.random.default_rng().random(answer.size) < 0.9))
+        kept = np.random.default_rng().random(answer.size) < 0.9
+        kept[0] = True  # all that there is of an empty image: nothing else is wrong with this one
+        return unit(answer * kept)
 
 
 class FixedSize(Layout):

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from placerec.certificate import Certificate, certificate_of, write_certificate
+from placerec.certificate import certificate_of, write_certificate
 from placerec.conformance import check
 from placerec.networks import Preprocessing
 from placerec.recognizer import load
@@ -169,37 +169,14 @@ def test_the_fingerprint_is_of_all_that_decides_embeddings(tmp_path, write_onnx)
     assert len({expected, *others}) == 4
 
 
-def _certificate(recognizer, **changes):
-    found = {
-        "recognizer": "net.onnx",
-        "fingerprint": recognizer.fingerprint,
-        "data": "somewhere",
-        "images": 10,
-        "skipped": 0,
-        "pairs": 45,
-        "same_place_pairs": 9,
-        "threshold": 0.8,
-        "highest_wrong": 0.75,
-        "recall": 0.5,
-        "threshold_interval": (0.7, 0.85),
-        "recall_interval": (0.25, 0.75),
-        "resampled": "places",
-        "resamples": 100,
-        "without_threshold": 2,
-        "seed": 0,
-        "different_places": (-0.1, 0.625),
-        "same_place": (0.3, 0.9),
-        "recall_to_verify": 0.75,
-        "curve": ((0.8, 1.0, 0.5),),
-    }
-    return Certificate.model_validate(found | changes)
-
-
-def test_the_threshold_is_that_of_the_certificate_beside_it_if_it_is_its_own(network, error_of):
-    certificate = _certificate(load(str(network)))
+def test_the_threshold_is_that_of_the_certificate_beside_it_if_it_is_its_own(
+    network, error_of, certificate
+):
+    own = {"recognizer": network.name, "fingerprint": load(str(network)).fingerprint}
+    certificate = certificate.model_copy(update=own)
     write_certificate(certificate, network.with_suffix(".certificate.json"))
     recognizer = load(str(network))
-    assert recognizer.min_similarity == 0.625
+    assert recognizer.min_similarity == certificate.min_similarity == 0.6
     assert certificate_of(recognizer) == certificate
     network.with_suffix(".toml").write_text('order = "bgr"')
     changed = load(str(network))
