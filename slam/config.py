@@ -151,9 +151,9 @@ class LoopConfig(_Section):
     """Keyframes of one segment that fewer than so many were taken after are not candidates."""
     candidates: Annotated[int, Field(gt=0, le=1000)] = 4
     """Keyframes verified by geometry, per new keyframe."""
-    second_look: Annotated[int, Field(ge=0, le=1000)] = 10
-    """Of so many most similar keyframes a second look, cheaper than geometry, chooses those to
-    verify; 0 for the most similar ones."""
+    second_look: Annotated[int, Field(ge=0, le=1000)] = 0
+    """Of so many most similar keyframes, 10 for example, a second look, cheaper than geometry,
+    chooses those to verify; 0: the most similar ones are verified."""
     min_similarity: Literal["adapted"] | Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
     """Cosine from which a candidate is verified; adapted: the recognizer's own threshold at first,
     then where the images of this run ask for it; default: the recognizer's own."""
