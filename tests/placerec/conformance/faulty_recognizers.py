@@ -162,6 +162,7 @@ class TiedToItsThread(Sound):
 class SharedBuffer(Sound):
     def embed(self, image):
         self.buffer = image
+        time.sleep(0.001)  # long enough for another thread, however busy the machine is
         return super().embed(self.buffer)
 
 
