@@ -160,6 +160,9 @@ def read_fitted(path: Path, recognizer: str) -> Fitted:
         with safe_open(path, framework="np") as file:
             description = _Description.model_validate_json((file.metadata() or {})[METADATA_KEY])
             arrays = {name: file.get_tensor(name) for name in list(file.keys())}
+        # Other libraries may have taught numpy more kinds of numbers, as onnx does.
+        if any(each.dtype.kind not in "biuf" for each in arrays.values()):
+            raise TypeError("numbers of a kind that numpy itself lacks")
     except (OSError, SafetensorError, KeyError, TypeError, ValidationError) as error:
         raise RecognizerError(f"not a whole file of {recognizer}; {remedy}: {path}") from error
     if (owner := description.recognizer) != recognizer:

@@ -140,7 +140,10 @@ def test_a_file_that_names_something_strange_is_one_line(tmp_path, monkeypatch, 
     assert "\n" not in str(caught.value)
 
 
-def test_numbers_of_a_kind_that_numpy_lacks_are_one_line(tmp_path):
+@pytest.mark.parametrize("is_taught", [False, True])
+def test_numbers_of_a_kind_that_numpy_lacks_are_one_line(tmp_path, is_taught):
+    if is_taught:
+        pytest.importorskip("ml_dtypes", reason="comes with onnx")
     path = tmp_path / "w.safetensors"
     write_fitted(path, "mine", LEARNED)
     with safe_open(path, framework="np") as file:
