@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from placerec.certificate import own_fingerprint
 from placerec.checked_recognizer import CheckedRecognizer
 from placerec.datasets import PlaceDataset, open_dataset
-from placerec.datasets.names import find_data
-from placerec.datasets.tum import STRIDE, pose_distance, read_recording
+from placerec.datasets.pose_distance import SAME_PLACE, pose_distance
 from placerec.errors import LoopcloseError, RecognizerError
 from placerec.evaluation.bootstrap import draws, interval, resampling_units
 from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset
@@ -36,8 +35,6 @@ from slam.loops.adaptive_threshold import AdaptiveThreshold
 
 MOST_CUT = 0.05
 """Share of the true pairs that the oracle cuts off."""
-LIMIT = 0.6
-"""Metres plus radians within which two views are of one place, as the truth of TUM has it."""
 KNOWN_S = 3.0
 PLACE_FRAMES = 3
 HEADER = (
@@ -78,7 +75,7 @@ def table(source: str, name: str, resamples: int) -> list[str]:
     embeddings = embed_dataset(recognizer, dataset, cache).embeddings
     checked = CheckedRecognizer(recognizer, name)
     similarities = checked.compare(embeddings, embeddings)
-    known, order = distances_known(dataset, source)
+    known, order = distances_known(dataset)
     adaptive = AdaptiveThreshold(checked.min_similarity)
     then = thresholds_on_the_way(adaptive, similarities[np.ix_(order, order)], known)
     at_image = np.empty(len(dataset))
@@ -99,7 +96,7 @@ def table(source: str, name: str, resamples: int) -> list[str]:
     ] + [f"| {dataset.name} | (adaptive: {fit.explanation}) | | | |"]
 
 
-def distances_known(dataset: PlaceDataset, source: str) -> tuple[FloatArray, NDArray[np.int64]]:
+def distances_known(dataset: PlaceDataset) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return what a run knows of its pairs, as `AdaptiveThreshold.meet`, and the images' order.
 
     The (N, N) distances are in that order: that of time, and references before queries.
@@ -108,16 +105,16 @@ def distances_known(dataset: PlaceDataset, source: str) -> tuple[FloatArray, NDA
     order = np.arange(count)
     if not np.array_equal(dataset.queries, dataset.references):
         order = np.concatenate([dataset.references, dataset.queries])
-    if dataset.timestamps_s is None:
+    if dataset.timestamps_s is None or dataset.positions_m is None or dataset.quaternions is None:
         clips, numbers = zip(*(_clip(dataset.paths[i]) for i in order), strict=True)
         apart = np.abs(np.subtract.outer(numbers, numbers))
         is_near = (apart < PLACE_FRAMES) & np.equal.outer(clips, clips)
         # Nobody knows how near: as far as one place goes.
         return np.where(is_near, np.nextafter(1.0, 0.0), np.nan), order
-    recording = read_recording(find_data(source) or Path(source), STRIDE)
-    distance = pose_distance(recording.positions_m, recording.quaternions)
-    apart_s = np.abs(np.subtract.outer(dataset.timestamps_s, dataset.timestamps_s))
-    return np.where(apart_s <= KNOWN_S, distance / LIMIT, np.nan), order
+    poses, times_s = (dataset.positions_m[order], dataset.quaternions[order]), dataset.timestamps_s
+    apart_s = np.abs(np.subtract.outer(times_s[order], times_s[order]))
+    shares = pose_distance(*poses, *poses) / SAME_PLACE
+    return np.where(apart_s <= KNOWN_S, shares, np.nan), order
 
 
 def _clip(path: Path) -> tuple[str, int]:

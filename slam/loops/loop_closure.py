@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from placerec.certificate import certificate_of
 from placerec.checked_recognizer import CheckedRecognizer
+from placerec.datasets.pose_distance import SAME_PLACE
 from placerec.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
@@ -20,9 +21,7 @@ from slam.loops.second_look import SecondLook
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
 
-_ONE_PLACE = 0.6
-"""Metres plus radians below which two views are of one place (eq. 10)."""
-_KNOWN_PATH = 5.0 * _ONE_PLACE
+_KNOWN_PATH = 5.0 * SAME_PLACE
 """Odometry has hardly drifted between keyframes with so much of its path between them."""
 _MOST_MET = 400
 """Of many more places every n-th shows as well how alike different ones are."""
@@ -155,7 +154,7 @@ class LoopCloser:
             before = self._keyframes[k]
             if before.segment != keyframe.segment or path - self._path[k] > _KNOWN_PATH:
                 break
-            distances[k] = _distance(before, keyframe) / _ONE_PLACE
+            distances[k] = _distance(before, keyframe) / SAME_PLACE
         self._path.append(path)
         unknown = np.flatnonzero(np.isnan(distances))
         is_met = distances < 1.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import adaptive_threshold
+from placerec.datasets import open_dataset
 
 
 @pytest.fixture
@@ -40,3 +41,14 @@ def test_what_is_no_data_ends_in_one_line(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["", str(Path("nowhere"))])
     assert adaptive_threshold.main() == 2
     assert capsys.readouterr().err.startswith("error: there is no such folder")
+
+
+def test_of_a_recording_the_way_within_three_seconds_is_known(recording):
+    dataset = open_dataset(str(recording))
+    known, order = adaptive_threshold.distances_known(dataset)
+    assert order.tolist() == list(range(len(dataset)))
+    is_soon = np.abs(np.subtract.outer(dataset.timestamps_s, dataset.timestamps_s)) <= 3.0
+    assert (np.isfinite(known) == is_soon).all() and not is_soon.all()
+    assert ((known < 1.0) == dataset.same_place)[is_soon].all()
+    lines = adaptive_threshold.table(str(recording), "gradients", resamples=5)
+    assert [line.split(" | ")[1] for line in lines[:3]] == ["calibrated", "adaptive", "oracle"]

@@ -146,8 +146,8 @@ def write_onnx() -> Callable[..., Path]:
     It takes the shape of the input, the network's last node, if not one that flattens, the names
     and shapes of its outputs, its metadata, and the file in which a tensor of it is to lie.
     """
-    onnx = pytest.importorskip("onnx", reason="onnx is not installed (extra [onnx])")
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra [onnx])")
+    import onnx  # takes a while
+
     make, floats = onnx.helper, onnx.TensorProto.FLOAT
 
     def write(

@@ -10,12 +10,6 @@ from placerec.networks.weights_file import save_weights
 from placerec.recognizer import load
 
 
-@pytest.fixture(autouse=True)
-def needs_onnx():
-    pytest.importorskip("onnx", reason="onnx is not installed (extra [onnx])")
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra [onnx])")
-
-
 @pytest.fixture
 def weights(tmp_path):
     network = PlaceNetwork(TRUNKS["mobilenet_v2"], 8, block="block2", grid=(2, 2))

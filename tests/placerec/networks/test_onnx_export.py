@@ -20,8 +20,6 @@ def _network(**way):
 
 @pytest.mark.parametrize("way", WAYS, ids=str)
 def test_what_is_written_embeds_as_the_network(way, tmp_path):
-    pytest.importorskip("onnx", reason="onnx is not installed (extra [onnx])")
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra [onnx])")
     network, path = _network(**way), tmp_path / "net.onnx"
     path.write_bytes(content := to_onnx(network, 0.25).SerializeToString())
     rng = np.random.default_rng(0)

@@ -13,12 +13,6 @@ from placerec.recognizers.default import DEFAULT_GRAPH, DEFAULT_WEIGHTS, Default
 from placerec.recognizers.learned import LearnedRecognizer
 
 
-@pytest.fixture
-def needs_onnxruntime():
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra [onnx])")
-
-
-@pytest.mark.usefixtures("needs_onnxruntime")
 def test_whatever_runs_it_the_answer_is_the_same():
     ours, torchs = open_default(), LearnedRecognizer()
     assert isinstance(ours, DefaultByOnnx)
@@ -30,7 +24,6 @@ def test_whatever_runs_it_the_answer_is_the_same():
     assert certificate_of(ours) is not None
 
 
-@pytest.mark.usefixtures("needs_onnxruntime")
 def test_torch_is_not_loaded_where_onnxruntime_is():
     code = "import sys; from placerec.recognizers.default import open_default; open_default()"
     run = subprocess.run(
@@ -48,7 +41,6 @@ def test_where_onnxruntime_is_not_installed_torch_runs_it(monkeypatch, caplog):
     assert not caplog.records
 
 
-@pytest.mark.usefixtures("needs_onnxruntime")
 def test_a_graph_of_other_weights_is_not_used_and_that_is_said(tmp_path, monkeypatch, caplog):
     for path in (DEFAULT_GRAPH, DEFAULT_WEIGHTS, DEFAULT_WEIGHTS.with_suffix(".certificate.json")):
         shutil.copy(path, tmp_path)
