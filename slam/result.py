@@ -98,11 +98,15 @@ class ThresholdFit:
         few = min(self.one_place_pairs, self.other_pairs)
         if few < _FEW_PAIRS or not self.passing > _MOSTLY_PASSING:
             return ()
+        advice = (
+            f" (adapted to these images, it is {self.adapted:.3f}: --loop.min-similarity adapted)"
+        )
+        if self.min_similarity == self.adapted:
+            advice = ""
         return (
             f"the recognizer hardly tells places apart here: by estimate, {self.passing:.0%} of the"
             f" pairs of different places reach the similarity {self.min_similarity:.3f} from which"
-            " matches are verified; geometry alone keeps false loops out (adapted to these images,"
-            f" it is {self.adapted:.3f}: --loop.min-similarity adapted)",
+            f" matches are verified; geometry alone keeps false loops out{advice}",
         )
 
 

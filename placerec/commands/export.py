@@ -51,6 +51,7 @@ def export(
     learned = LearnedRecognizer() if recognizer == DEFAULT_NAME else load(recognizer)
     if not isinstance(learned, LearnedRecognizer):
         raise RecognizerError(f"{recognizer} is no trained network, which alone can be exported")
+    certificate = learned.certificate  # which may not be fit to go along: asked for first
     content: bytes = to_onnx(learned.network, learned.min_similarity).SerializeToString()
     with TemporaryDirectory() as folder:
         written = Path(folder) / path.name
@@ -65,7 +66,7 @@ def export(
         )
     write_atomically(path, content)
     said = f"embeddings are the same to {apart:.1g}\nwritten to {path}"
-    if certificate := learned.certificate:
+    if certificate:
         beside = certificate_path(path)
         own = {"recognizer": path.name, "fingerprint": fingerprint}
         write_certificate(certificate.model_copy(update=own), beside)

@@ -117,8 +117,11 @@ def _no_stale_references(subject: Subject) -> Outcome:
 )
 def each_on_its_own(subject: Subject) -> Outcome:
     """The similarity of a pair does not depend on which other references there are."""
+    looks_back = CheckedRecognizer(subject.recognizer).looks_back
+    if looks_back > _MOST_BACK:
+        return Verdict.NOT_TRIED, f"it looks back {looks_back}"
     # Sequences of references may count: so many that those that are added are out of reach.
-    count = _MANY + 2 * CheckedRecognizer(subject.recognizer).looks_back
+    count = _MANY + 2 * looks_back
     some, others = np.split(np.stack(subject.embeddings), 2)
     queries = np.stack([some[-1], others[0]])
     few = _tiled(some, count)

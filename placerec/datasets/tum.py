@@ -153,8 +153,8 @@ def _read_places(file: Path, stamps_s: FloatArray) -> NDArray[np.int64] | None:
     places: dict[float, int] = {}
     for number, line in read_lines(file):
         fields = split_fields(line)
-        stamp_s = as_number(fields[0])
-        place = as_whole_number(fields[1]) if len(fields) == 2 else None
+        stamp_s = as_number(fields[0]) if len(fields) == 2 else None
+        place = as_whole_number(fields[-1]) if len(fields) == 2 else None
         if stamp_s is None or place is None:
             raise RecognizerError(f'line {number} is not "timestamp place": {line!r}: {file}')
         places[stamp_s] = place

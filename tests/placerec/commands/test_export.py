@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.__main__ import main
-from placerec.certificate import certificate_of, read_certificate
+from placerec.certificate import certificate_of, certificate_path, read_certificate
 from placerec.commands import export
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
@@ -44,6 +44,13 @@ def test_what_gives_other_embeddings_is_not_written(weights, tmp_path, monkeypat
     monkeypatch.setattr(export, "_MOST_APART", -1.0)
     assert main(["export", str(weights), "--out", str(tmp_path / "w.onnx")]) == 2
     assert "what was exported gives other embeddings" in capsys.readouterr().err
+    assert not (tmp_path / "w.onnx").exists()
+
+
+def test_a_certificate_that_cannot_go_along_leaves_nothing_half_done(weights, tmp_path, capsys):
+    certificate_path(weights).write_text("{}")
+    assert main(["export", str(weights), "--out", str(tmp_path / "w.onnx")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "w.onnx").exists()
 
 

@@ -201,6 +201,16 @@ def test_a_check_alone_finds_what_it_finds_among_all():
     assert (one.verdict, one.measured) == (Verdict.NOT_TRIED, "first mend 'one shape'")
 
 
+def test_one_that_looks_back_at_all_there_was_is_not_fed_so_much():
+    recognizer = load(f"{MODULE}:Maps")
+    recognizer.looks_back = 10**9
+    examination = Examination(recognizer)
+    for name in ("queries one at a time", "whichever others are there"):
+        (one,) = (check for check in CHECKS if check.name == name)
+        found = examination.find(one)
+        assert (found.verdict, found.measured) == (Verdict.NOT_TRIED, "it looks back 1000000000")
+
+
 def test_what_a_recognizer_prints_is_kept_from_stdout(capsys):
     examined("Chatty")
     assert capsys.readouterr().out == ""

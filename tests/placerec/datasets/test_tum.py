@@ -114,6 +114,7 @@ def test_missing_image_is_skipped_and_named(recording):
         ("groundtruth.txt", "0 0 0 0 0 0 0 0\n", "line 1 has a quaternion of length zero"),
         ("places.txt", "0.0 kitchen\n", r'line 1 is not "timestamp place": .*kitchen'),
         ("places.txt", "0.0 1 2\n", "line 1 is not"),
+        ("places.txt", ",\n", "line 1 is not"),
         ("places.txt", "0.0 1\n3.0 1\n", "names no place for 1 of 3 images, the first of 6"),
         ("groundtruth.txt", None, r"cannot read groundtruth\.txt: No such file"),
     ],

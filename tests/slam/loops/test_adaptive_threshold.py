@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,9 @@ def test_where_the_two_collapse_true_pairs_are_kept_and_a_warning_says_so():
     assert (right < fit.min_similarity).mean() <= 0.1
     (warning,) = fit.warnings
     assert "hardly tells places apart here" in warning and f"{fit.min_similarity:.3f}" in warning
+    assert "--loop.min-similarity adapted" not in warning  # as it is
+    (advice,) = replace(fit, min_similarity=0.5).warnings
+    assert advice.endswith(f"it is {fit.adapted:.3f}: --loop.min-similarity adapted)")
 
 
 def test_wrong_pairs_of_two_kinds_are_no_trouble():
