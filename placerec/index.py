@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The places seen so far and how similar they are to a new one; features that match."""
+"""The places seen so far and how similar they are to a new one."""
 
 import math
 from dataclasses import dataclass
@@ -206,22 +206,3 @@ def _coded(vector: Embeddings) -> _Coded:
     whole = np.rint(exact / scale)
     length, error = (float(np.linalg.norm(each)) for each in (scale * whole, exact - scale * whole))
     return _Coded((whole + levels).astype(np.uint8), scale, float(whole @ whole), length, error)
-
-
-def mutual_matches(
-    ours: NDArray[np.uint8], theirs: NDArray[np.uint8], max_distance: int = 64
-) -> NDArray[np.int64]:
-    """Return (M, 2) index pairs of (N, B) and (K, B) uint8 descriptors, each the other's nearest.
-
-    Of equally near ones the first is taken; none is further away by Hamming than max_distance.
-    """
-    if not (len(ours) and len(theirs)):
-        return np.zeros((0, 2), np.int64)
-    a, b = (np.unpackbits(each, axis=1).astype(np.float32) for each in (ours, theirs))
-    # Small whole numbers, which float32 adds up exactly, whatever the order.
-    distance = a.sum(axis=1)[:, None] - (2.0 * a - 1.0) @ b.T
-    nearest = distance.argmin(axis=1)
-    rows = np.arange(len(a))
-    is_mutual = distance.argmin(axis=0)[nearest] == rows
-    chosen = is_mutual & (distance[rows, nearest] <= max_distance)
-    return np.stack([rows[chosen], nearest[chosen]], axis=1)

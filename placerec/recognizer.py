@@ -39,8 +39,8 @@ class PlaceRecognizer(Protocol):
 
     A method that can tell more of the few most similar images than their embeddings do has a method
     `rerank(query, candidates)`. It takes a (H, W, 3) uint8 RGB image and a sequence of such, and
-    returns (C,) scores from 0, nothing in common, to 1. While a map is made, images are at half
-    size, and what scores 0 is not verified.
+    returns (C,) scores from 0, nothing in common, to 1. While a map is made it is asked where a
+    second look is wanted, of images at half size; what scores 0 is not verified.
 
     Attributes:
         min_similarity: similarity from which a match is worth verifying, calibrated for this one;

@@ -310,6 +310,7 @@ class Slam:
         leaps = salvage.attempt(
             "the look for leaps", lambda: impossible_steps(trajectory, self._session_starts_s), ()
         )
+        threshold = self._back_end.loop_closer.threshold()
         return SlamResult(
             camera=self._camera,
             keyframes=tuple(
@@ -333,6 +334,7 @@ class Slam:
                 *self._frames.warnings(T_world_kf),
                 *unadjusted,
                 *loops.warnings,
+                *(threshold.warnings if threshold else ()),
                 *leaps,
                 *(calibration.warnings if calibration else ()),
             ),
@@ -343,7 +345,7 @@ class Slam:
             unsmoothed=trajectory if self._is_smoothed else None,
             given=result_of_given,
             missing=salvage.sentences,
-            threshold=self._back_end.loop_closer.threshold(),
+            threshold=threshold,
         )
 
     def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
@@ -361,8 +363,9 @@ class Slam:
             return *adjusted(self._odometry.map, loops), ()
 
     def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
-        similarities = self._back_end.similarities()
-        return similarities, self._back_end.loop_closer.calibration(similarities)
+        closer = self._back_end.loop_closer
+        similarities = closer.similarities()
+        return similarities, closer.calibration(similarities)
 
     def _read_external(
         self, T_odom_kf: dict[int, FloatArray], stamps_s: FloatArray

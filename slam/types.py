@@ -182,7 +182,7 @@ class LoopAttempt:
         weight: the pose graph's final trust in a loop that it was given, 0 (ignored) to 1; None
             before the graph was solved and for candidates that it was not given.
         min_similarity: from which candidates were verified when it was looked at, None where that
-            is the same in the whole run.
+            is not on record.
     """
 
     query_id: int

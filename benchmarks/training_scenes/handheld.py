@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slam.geometry.se3 import from_rotation_translation, inverse, rotation_angle, to_quaternion
+from slam.geometry.se3 import from_rotation_translation, to_quaternion
 from slam.types import FloatArray
 
 PATH_VIEWS, PATH_S = 480, 45.0  # of which readers of video use every third
@@ -32,12 +32,6 @@ def nudged(T_world_cam: FloatArray, reach: float, rng: np.random.Generator) -> F
     turned_rad *= far * (1.0 - share) / np.linalg.norm(turned_rad)
     R = T_world_cam[:3, :3] @ Rotation.from_rotvec(turned_rad).as_matrix()
     return from_rotation_translation(R, T_world_cam[:3, 3] + moved_m)
-
-
-def distance(T_world_a: FloatArray, T_world_b: FloatArray) -> float:
-    """Return metres plus radians between two poses (eq. 10)."""
-    T_a_b = inverse(T_world_a) @ T_world_b
-    return float(np.linalg.norm(T_a_b[:3, 3]) + rotation_angle(T_a_b))
 
 
 def path_times_s() -> FloatArray:

@@ -18,7 +18,6 @@ from benchmarks.training_scenes.handheld import (
     Image,
     Views,
     as_cheap_cameras_see,
-    distance,
     nudged,
     path_times_s,
     swing,
@@ -26,7 +25,12 @@ from benchmarks.training_scenes.handheld import (
 from placerec.datasets.tum import Recording, read_recording
 from placerec.datasets.tum_lists import nearest
 from slam import Config, open_sequence
-from slam.geometry.se3 import from_quaternion, from_rotation_translation, inverse
+from slam.geometry.se3 import (
+    from_quaternion,
+    from_rotation_translation,
+    inverse,
+    pose_distance,
+)
 from slam.types import FloatArray
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 224, 168, 181.0
@@ -101,7 +105,7 @@ class RecordedPlace:
         number = 0
         for _ in range(40 * PLACES):
             T = self.aim(REACH * rng.uniform(-1.0, 1.0, len(REACH)))
-            is_new = all(distance(T, other) >= APART for other in places)
+            is_new = all(pose_distance(T, other) >= APART for other in places)
             if not is_new or self.look(T, photographs[0])[1] < LEAST_SEEN:
                 continue
             places.append(T)

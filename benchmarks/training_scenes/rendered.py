@@ -19,7 +19,6 @@ from benchmarks.training_scenes.handheld import (
     Image,
     Views,
     as_cheap_cameras_see,
-    distance,
     nudged,
     path_times_s,
     pose,
@@ -31,7 +30,7 @@ from slam.demo.layout import furnished_room, wall_frame
 from slam.demo.panels import Panel, Point, box, light, panel, turned
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
 from slam.demo.textures import Material, colour_of
-from slam.geometry.se3 import from_rotation_translation
+from slam.geometry.se3 import from_rotation_translation, pose_distance
 from slam.types import FloatArray
 
 TABLE_HEIGHT_M = 0.74
@@ -253,7 +252,7 @@ def views_of_places(scene: Scene, rng: np.random.Generator) -> list[tuple[FloatA
     for _ in range(3000):
         is_near = bool(places) and rng.random() < 0.8
         T = nudged(places[rng.integers(len(places))], NEARBY, rng) if is_near else scene.aim(rng)
-        if scene.allows(T) and all(distance(T, other) > APART for other in places):
+        if scene.allows(T) and all(pose_distance(T, other) > APART for other in places):
             places.append(T)
         if len(places) == PLACES:
             break

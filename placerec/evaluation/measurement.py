@@ -3,7 +3,6 @@
 
 from dataclasses import dataclass
 from datetime import date
-from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -15,7 +14,7 @@ from placerec.datasets import PlaceDataset
 from placerec.errors import cause_of
 from placerec.evaluation.bootstrap import Intervals, bootstrap
 from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset
-from placerec.evaluation.precision_recall import Evaluation, evaluate
+from placerec.evaluation.precision_recall import Evaluation, compare, judge
 from placerec.evaluation.second_look import LocalFeatures, look_again
 from placerec.files import Progress
 from placerec.recognizer import PlaceRecognizer
@@ -137,13 +136,11 @@ def measure(
         comparer = CheckedRecognizer(recognizer, name)
         weights: object = getattr(recognizer, "weights", "")
         trained_on = set(getattr(recognizer, "trained_on", ()))
-        refine = partial(
-            look_again,
-            dataset=dataset,
-            second_look=comparer if comparer.can_rerank else LocalFeatures(),
-            min_similarity=comparer.min_similarity,
-        )
-        found = evaluate(dataset, embedded.embeddings, comparer, refine if second_look else None)
+        similarities = compare(embedded.embeddings, dataset, comparer)
+        if second_look:
+            look = comparer if comparer.can_rerank else LocalFeatures()
+            similarities = look_again(similarities, dataset, look, comparer.min_similarity)
+        found = judge(similarities, dataset)
         return Measured(
             dataset=dataset,
             recognizer=name,

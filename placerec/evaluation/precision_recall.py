@@ -6,7 +6,6 @@ cannot show is refused with a RecognizerError: curves and recalls need two image
 one place, and two that are of different ones.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,22 +91,23 @@ class Evaluation:
 
 
 def evaluate(
-    dataset: PlaceDataset,
-    embeddings: Embeddings,
-    comparer: Comparer = COSINES,
-    refine: Callable[[Similarities], Similarities] | None = None,
+    dataset: PlaceDataset, embeddings: Embeddings, comparer: Comparer = COSINES
 ) -> Evaluation:
     """Judge the (N, *S) embeddings of a dataset's images, compared as their recognizer does it.
-
-    What was compared may be refined before it is judged, as by a second look.
 
     Raises:
         RecognizerError: the dataset has no pair of one place, or none of different places, or
             the embeddings cannot be compared.
     """
-    similarities = compare(embeddings, dataset, comparer)
-    if refine:
-        similarities = refine(similarities)
+    return judge(compare(embeddings, dataset, comparer), dataset)
+
+
+def judge(similarities: Similarities, dataset: PlaceDataset) -> Evaluation:
+    """Judge (Q, R) similarities of a dataset's queries and references.
+
+    Raises:
+        RecognizerError: the dataset has no pair of one place, or none of different places.
+    """
     return Evaluation(
         similarities=similarities,
         pair_curve=pair_curve(similarities, dataset),

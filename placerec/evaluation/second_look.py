@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.index import mutual_matches
 
 Image = NDArray[np.uint8]
 
@@ -19,9 +18,9 @@ LOOKED_AT = 10
 _LONGER_SIDE_PX = 640
 _FEATURES = 500
 _FAST_THRESHOLD = 8
-_BORDER_PX = 19
-_LEAST_SIDE_PX = 2 * _BORDER_PX + 1
+_LEAST_SIDE_PX = 39  # below it an image has no room for what a feature describes
 _LEAST_MATCHES = 8
+_MAX_DISTANCE = 64  # by Hamming
 _MAX_OFF_PX = 8.0
 _TRIALS = 300
 _KEPT = 256
@@ -75,6 +74,9 @@ class _Features(NamedTuple):
     descriptors: NDArray[np.uint8]
 
 
+_NONE = _Features(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
+
+
 class LocalFeatures:
     """Counts the ORB features of two images that one homography takes onto each other.
 
@@ -110,16 +112,16 @@ class LocalFeatures:
             size = [max(1, round(side * factor)) for side in grey.shape[::-1]]
             grey = cv2.resize(grey, size, interpolation=way)
         if min(grey.shape) < _LEAST_SIDE_PX:
-            return _Features(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
+            return _NONE
         keypoints, descriptors = self._orb.detectAndCompute(grey, None)
         if descriptors is None:
-            return _Features(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
+            return _NONE
         pixels = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
         return _Features(pixels, np.asarray(descriptors, np.uint8))
 
 
 def _count_on_homography(ours: _Features, theirs: _Features) -> int:
-    i, j = mutual_matches(ours.descriptors, theirs.descriptors).T
+    i, j = _mutual_matches(ours.descriptors, theirs.descriptors).T
     if len(i) < _LEAST_MATCHES:
         return 0
     # OpenCV draws the same samples every time.
@@ -127,3 +129,20 @@ def _count_on_homography(ours: _Features, theirs: _Features) -> int:
         ours.pixels[i], theirs.pixels[j], cv2.RANSAC, _MAX_OFF_PX, maxIters=_TRIALS
     )
     return 0 if inliers is None else int(np.count_nonzero(inliers))
+
+
+def _mutual_matches(ours: NDArray[np.uint8], theirs: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return (M, 2) index pairs of (N, B) and (K, B) uint8 descriptors, each the other's nearest.
+
+    Of equally near ones the first is taken; none is further away by Hamming than the limit.
+    """
+    if not (len(ours) and len(theirs)):
+        return np.zeros((0, 2), np.int64)
+    a, b = (np.unpackbits(each, axis=1).astype(np.float32) for each in (ours, theirs))
+    # Small whole numbers, which float32 adds up exactly, whatever the order.
+    distance = a.sum(axis=1)[:, None] - (2.0 * a - 1.0) @ b.T
+    nearest = distance.argmin(axis=1)
+    rows = np.arange(len(a))
+    is_mutual = distance.argmin(axis=0)[nearest] == rows
+    chosen = is_mutual & (distance[rows, nearest] <= _MAX_DISTANCE)
+    return np.stack([rows[chosen], nearest[chosen]], axis=1)

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from placerec.errors import RecognizerError, cause_of
+from placerec.networks.onnx_settings import METADATA_KEY, OnnxSettings
 from placerec.networks.place_network import PlaceNetwork
 
-_METADATA_KEY = "placerec"
 _OPSET = 17
 
 
@@ -77,12 +77,19 @@ def to_onnx(network: PlaceNetwork, min_similarity: float) -> Any:
         ) from error
     for node in model.graph.node:
         node.ClearField("doc_string")  # paths of this machine
-    settings = {
-        "size": [preprocessing.width_px, preprocessing.height_px],
-        "mean": [value / 255.0 for value in preprocessing.mean],
-        "std": [value / 255.0 for value in preprocessing.scale],
-        "order": "bgr" if preprocessing.is_bgr else "rgb",
-        "min_similarity": min_similarity,
-    }
-    onnx.helper.set_model_props(model, {_METADATA_KEY: json.dumps(settings)})
+    settings = OnnxSettings(
+        size=(preprocessing.width_px, preprocessing.height_px),
+        mean=_of_one(preprocessing.mean),
+        std=_of_one(preprocessing.scale),
+        order="bgr" if preprocessing.is_bgr else "rgb",
+        min_similarity=min_similarity,
+    )
+    told = json.dumps(settings.model_dump(exclude_none=True))
+    onnx.helper.set_model_props(model, {METADATA_KEY: told})
     return model
+
+
+def _of_one(values: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return values on a scale of pixels, to 255, on one to 1."""
+    first, second, third = (value / 255.0 for value in values)
+    return first, second, third

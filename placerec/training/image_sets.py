@@ -52,6 +52,11 @@ class SetRules:
     positives: int = 4
     negatives: int = 4
 
+    @property
+    def neighbours(self) -> int:
+        """How many of the negatives may be from just beyond the place."""
+        return self.negatives // 2
+
 
 def build_image_sets(
     features: NDArray[np.float32],
@@ -106,12 +111,9 @@ def build_image_sets(
     )
 
 
-def sample_images(places: Indices, per_place: int, rng: np.random.Generator) -> Indices:
-    """Return the sorted indices of at most so many images of each place, drawn at random.
-
-    With it the cost of a round of training is that of the places, however many images they have.
-    """
-    return np.sort(_draw_of_each(np.arange(len(places)), places, per_place, rng))
+def one_of_each(places: Indices, rng: np.random.Generator) -> Indices:
+    """Return the sorted indices of one image of each place, drawn at random."""
+    return np.sort(_draw_of_each(np.arange(len(places)), places, 1, rng))
 
 
 def sample_scenes(
@@ -187,7 +189,7 @@ def _choose_neighbours(
     enough = max(min(rules.positives, len(own)), -(-len(own) // 2))
     neighbours: list[int] = []
     for image in just_beyond.tolist():
-        if len(neighbours) == rules.negatives // 2:
+        if len(neighbours) == rules.neighbours:
             break
         left = own[apart[image, own]]
         if apart[image, neighbours].all() and len(left) >= enough:

@@ -15,7 +15,7 @@ from placerec.files import Progress
 from placerec.networks import PlaceNetwork
 from placerec.training.checkpoint import Checkpoint, read_checkpoint, settings_of, write_checkpoint
 from placerec.training.config import TrainingConfig
-from placerec.training.image_sets import ImageSets, build_image_sets, sample_images, sample_scenes
+from placerec.training.image_sets import ImageSets, build_image_sets, one_of_each, sample_scenes
 from placerec.training.learner import Learner
 from placerec.training.log import StepRecord, TrainingLog
 from placerec.training.workers import Workers
@@ -139,10 +139,10 @@ class Training:
             config.places_per_scene or len(scenes),
             rng,
         )
-        anchors = visited[sample_images(self._places[visited], 1, rng)]
+        anchors = visited[one_of_each(self._places[visited], rng)]
         self._refuse_too_few(len(anchors))
-        beyond = config.rules.negatives // 2
-        seen = self._images.around(anchors, config.images_per_place, beyond, rng)
+        neighbours = config.rules.neighbours
+        seen = self._images.around(anchors, config.images_per_place, neighbours, rng)
         try:
             features = self._learner.embed(seen, self._progress)
         except KeyboardInterrupt:  # may come from progress; all is still as after the last step

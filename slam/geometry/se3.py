@@ -114,6 +114,12 @@ def translation_norm(T_a_b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(T_a_b[..., :3, 3], axis=-1))
 
 
+def pose_distance(T_world_a: FloatArray, T_world_b: FloatArray) -> float:
+    """Return metres plus radians between two poses (eq. 10)."""
+    T_a_b = inverse(T_world_a) @ T_world_b
+    return float(np.linalg.norm(T_a_b[:3, 3]) + rotation_angle(T_a_b))
+
+
 def to_quaternion(rotation: FloatArray) -> FloatArray:
     """Return the (..., 4) unit quaternions x y z w, w >= 0, of (..., 3, 3) rotations."""
     # Shepperd's method: the eigenvector of the largest eigenvalue of K is the quaternion.

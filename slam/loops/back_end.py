@@ -196,9 +196,7 @@ class BackEnd:
         for k, T in solution.T_world_kf.items():
             T_world_kf[k], T_start_kf[k] = T, without.T_world_kf[k]
         links, steps = tuple(graph.links), tuple(graph.steps)
-        threshold = self.loop_closer.threshold()
-        doubts = threshold.warnings if threshold else ()
-        warnings = (*solution.warnings, *refusals(attempts), *doubts)
+        warnings = (*solution.warnings, *refusals(attempts))
         return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings, largest.trust, steps)
 
     def unsolved(self, T_odom_kf: Mapping[int, FloatArray]) -> ClosedLoops:
@@ -234,10 +232,6 @@ class BackEnd:
 
     def _solve(self, graph: PoseGraph) -> GraphSolution:
         return solve(graph, self._inlier_probability)
-
-    def similarities(self) -> NDArray[np.float32]:
-        """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""
-        return self.loop_closer.similarities()
 
     def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:

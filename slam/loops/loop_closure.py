@@ -9,20 +9,25 @@ from numpy.typing import NDArray
 
 from placerec.certificate import certificate_of
 from placerec.checked_recognizer import CheckedRecognizer
-from placerec.datasets.pose_distance import SAME_PLACE
 from placerec.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
-from slam.geometry import se3
 from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
+from slam.loops.known_distances import KnownDistances
 from slam.loops.second_look import SecondLook
 from slam.result import Calibration, ThresholdFit, compared
-from slam.types import Camera, Keyframe, LoopAttempt, Rejection, RejectionReason, RelativePose
+from slam.types import (
+    Camera,
+    Keyframe,
+    LoopAttempt,
+    Rejection,
+    RejectionReason,
+    RelativePose,
+    Verification,
+)
 
-_KNOWN_PATH = 5.0 * SAME_PLACE
-"""Odometry has hardly drifted between keyframes with so much of its path between them."""
 _MOST_MET = 400
 """Of many more places every n-th shows as well how alike different ones are."""
 
@@ -58,7 +63,7 @@ class LoopCloser:
         # Where sequences are compared, neighbours in time are alike for what they share.
         is_blind = self._recognizer.looks_back > 0
         self._adaptive = None if is_blind else AdaptiveThreshold(self.min_similarity)
-        self._path: list[float] = []  # metres plus radians until each keyframe
+        self._known = KnownDistances()
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) RGB image.
@@ -148,14 +153,8 @@ class LoopCloser:
         """Learn from a keyframe how alike views of one place, and of different ones, are here."""
         if self._adaptive is None:
             return
-        path = self._path[-1] + _distance(self._keyframes[-1], keyframe) if self._path else 0.0
-        distances = np.where(is_candidate, np.nan, np.inf)
-        for k in reversed(range(len(self._keyframes))):
-            before = self._keyframes[k]
-            if before.segment != keyframe.segment or path - self._path[k] > _KNOWN_PATH:
-                break
-            distances[k] = _distance(before, keyframe) / SAME_PLACE
-        self._path.append(path)
+        known = self._known.add(keyframe)
+        distances = np.where(np.isnan(known) & ~is_candidate, np.inf, known)
         unknown = np.flatnonzero(np.isnan(distances))
         is_met = distances < 1.0
         is_met[unknown[:: max(1, len(unknown) // _MOST_MET)]] = True
@@ -168,28 +167,28 @@ class LoopCloser:
         self, query: Keyframe, matches: Sequence[Keyframe], similarities: NDArray[np.float32]
     ) -> tuple[LoopAttempt, ...]:
         looked_at: list[tuple[int, Rejection | None]] = [(k, None) for k in range(len(matches))]
-        if self._loop_config.second_look and (similarities >= self.min_similarity).all():
+        # All of them are similar enough, or one is looked at that is not.
+        if self._loop_config.second_look and (similarities >= self.min_similarity).any():
             looked_at = self._second_look.choose(query, matches)
         return tuple(
-            LoopAttempt(
-                query.id,
-                matches[k].id,
-                float(similarities[k]),
-                None,
-                refusal,
-                min_similarity=self.min_similarity,
-            )
-            if refusal
-            else self._attempt(query, matches[k], float(similarities[k]))
+            self._attempt(query, matches[k], float(similarities[k]), refusal)
             for k, refusal in looked_at
         )
 
-    def _attempt(self, query: Keyframe, match: Keyframe, similarity: float) -> LoopAttempt:
-        if similarity < self.min_similarity:
-            rejection = Rejection(RejectionReason.LOW_SIMILARITY, similarity, self.min_similarity)
-            return LoopAttempt(
-                query.id, match.id, similarity, None, rejection, min_similarity=self.min_similarity
-            )
+    def _attempt(
+        self, query: Keyframe, match: Keyframe, similarity: float, refusal: Rejection | None
+    ) -> LoopAttempt:
+        needed = self.min_similarity
+        if similarity < needed:
+            refusal = Rejection(RejectionReason.LOW_SIMILARITY, similarity, needed)
+        verification, outcome = (None, refusal) if refusal else self._verified(query, match)
+        return LoopAttempt(
+            query.id, match.id, similarity, verification, outcome, min_similarity=needed
+        )
+
+    def _verified(
+        self, query: Keyframe, match: Keyframe
+    ) -> tuple[Verification, RelativePose | Rejection]:
         config = self._verification_config
         verification = estimate_relative_pose(match.features, query.features, self._camera, config)
         outcome = verification.outcome
@@ -200,17 +199,4 @@ class LoopCloser:
             share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
             if share > most:
                 outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, share, most)
-        return LoopAttempt(
-            query.id,
-            match.id,
-            similarity,
-            verification,
-            outcome,
-            min_similarity=self.min_similarity,
-        )
-
-
-def _distance(a: Keyframe, b: Keyframe) -> float:
-    """Return metres plus radians between two keyframes of a segment, by odometry (eq. 10)."""
-    T_a_b = se3.inverse(a.T_odom_cam) @ b.T_odom_cam
-    return float(np.linalg.norm(T_a_b[:3, 3]) + se3.rotation_angle(T_a_b))
+        return verification, outcome

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.checked_recognizer import CheckedRecognizer
-from placerec.index import mutual_matches
 from slam.config import PYRAMID_SCALE
+from slam.geometry.features import match_descriptors
 from slam.types import Camera, Features, FloatArray, Keyframe, Rejection, RejectionReason
 
 NEEDED = 18
@@ -18,6 +18,7 @@ _ABOVE_NOTHING = 1e-6
 """What a recognizer gives less has nothing in common."""
 _ENOUGH_DEPTH = 0.3  # share of the features
 _STRONG = 300
+_MAX_DISTANCE = 64  # by Hamming
 _PIXEL_NOISE_PX = 1.0
 _STANDARD_DEVIATIONS = 1.5
 _SLACK_M = 0.005
@@ -101,7 +102,9 @@ def _count_rigid(
     query: Features, strong: NDArray[np.int64], candidate: Features, camera: Camera
 ) -> int:
     placed = np.flatnonzero(np.isfinite(candidate.depth_m))
-    pairs = mutual_matches(query.descriptors[strong], candidate.descriptors[placed])
+    pairs = match_descriptors(
+        query.descriptors[strong], candidate.descriptors[placed], _MAX_DISTANCE
+    )
     ours, theirs = strong[pairs[:, 0]], placed[pairs[:, 1]]
     difference_m = np.abs(_distances(query.points_m[ours]) - _distances(candidate.points_m[theirs]))
     variance = _variance(query, ours, camera) + _variance(candidate, theirs, camera)

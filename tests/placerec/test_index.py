@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from placerec.checked_recognizer import COSINES
 from placerec.errors import RecognizerError
-from placerec.index import PlaceIndex, mutual_matches
+from placerec.index import PlaceIndex
 
 
 def _unit(rng: np.random.Generator, count: int, size: int) -> np.ndarray:
@@ -213,16 +213,3 @@ def test_without_a_past_the_first_query_stands_alone():
     index.add(np.ones((2, 2), np.float32))
     index.query(np.zeros((2, 2), np.float32), 1)
     assert sequences.asked == [([1.0, 0.0], [1.0])]
-
-
-def test_matches_are_each_others_nearest_and_near():
-    rng = np.random.default_rng(0)
-    ours, theirs = rng.integers(0, 256, (2, 50, 32), np.uint8)
-    theirs[[7, 30]] = ours[[20, 3]]
-    theirs[30, 0] ^= 0b101
-    apart = np.unpackbits(ours[:, None] ^ theirs, axis=2).sum(axis=2)
-    assert mutual_matches(ours, theirs).tolist() == [[3, 30], [20, 7]]
-    assert mutual_matches(ours, theirs, 1).tolist() == [[20, 7]]
-    expected = [[i, j] for i, j in enumerate(apart.argmin(axis=1)) if apart[:, j].argmin() == i]
-    assert mutual_matches(ours, theirs, 256).tolist() == expected
-    assert mutual_matches(ours[:0], theirs).shape == (0, 2)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.training_scenes import recorded
-from benchmarks.training_scenes.handheld import distance
 from benchmarks.training_scenes.recorded import APART, RADIUS, RecordedPlace
 from slam.config import InputConfig
 from slam.datasets import open_sequence
 from slam.demo.recording import render_sequence
+from slam.geometry.se3 import pose_distance
 from slam.types import Camera, Frame
 
 FOCAL_PX = 320.0 * recorded.FOCAL_PX / recorded.WIDTH_PX
@@ -107,11 +107,11 @@ def test_views_of_a_place_are_near_it_and_places_apart(place, monkeypatch):
     assert all(np.array_equal(a[1], b[1]) for a, b in zip(views, again, strict=True))
     places = [views[0][2]]
     for _, _, T, _ in views:
-        if distance(T, places[-1]) >= APART - RADIUS:
+        if pose_distance(T, places[-1]) >= APART - RADIUS:
             places.append(T)
-        assert distance(T, places[-1]) < RADIUS
+        assert pose_distance(T, places[-1]) < RADIUS
     assert len(places) > 1
-    assert all(distance(a, b) >= APART for i, a in enumerate(places) for b in places[:i])
+    assert all(pose_distance(a, b) >= APART for i, a in enumerate(places) for b in places[:i])
 
 
 def test_a_path_goes_on_in_small_steps(place, monkeypatch):
@@ -119,4 +119,4 @@ def test_a_path_goes_on_in_small_steps(place, monkeypatch):
     steps = list(islice(place.path([RED], seed=0), 20))
     assert np.all(np.diff([time_s for time_s, *_ in steps]) > 0)
     poses = [T for _, _, T, _ in steps]
-    assert max(distance(a, b) for a, b in pairwise(poses)) < 0.3
+    assert max(pose_distance(a, b) for a, b in pairwise(poses)) < 0.3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from placerec.datasets.place_dataset import PlaceDataset
+from placerec.evaluation import second_look
 from placerec.evaluation.second_look import LOOKED_AT, LocalFeatures, look_again
 
 
@@ -99,3 +100,18 @@ def test_nobody_is_asked_about_what_has_nothing_to_be_compared_with():
     refined = look_again(similarities, shown(3, np.zeros((3, 3), bool)), asked, 0.5)
     assert asked.asked == []
     np.testing.assert_allclose(refined, similarities / 1.5)
+
+
+def test_matches_are_each_others_nearest_and_near(monkeypatch):
+    rng = np.random.default_rng(0)
+    ours, theirs = rng.integers(0, 256, (2, 50, 32), np.uint8)
+    theirs[[7, 30]] = ours[[20, 3]]
+    theirs[30, 0] ^= 0b101
+    apart = np.unpackbits(ours[:, None] ^ theirs, axis=2).sum(axis=2)
+    assert second_look._mutual_matches(ours, theirs).tolist() == [[3, 30], [20, 7]]
+    monkeypatch.setattr(second_look, "_MAX_DISTANCE", 1)
+    assert second_look._mutual_matches(ours, theirs).tolist() == [[20, 7]]
+    expected = [[i, j] for i, j in enumerate(apart.argmin(axis=1)) if apart[:, j].argmin() == i]
+    monkeypatch.setattr(second_look, "_MAX_DISTANCE", 256)
+    assert second_look._mutual_matches(ours, theirs).tolist() == expected
+    assert second_look._mutual_matches(ours[:0], theirs).shape == (0, 2)

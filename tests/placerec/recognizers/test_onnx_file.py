@@ -169,6 +169,13 @@ def test_the_fingerprint_is_of_all_that_decides_embeddings(tmp_path, write_onnx)
     assert len({expected, *others}) == 4
 
 
+def test_a_damaged_certificate_stands_in_the_way_of_runs_but_not_of_a_new_one(network, error_of):
+    network.with_suffix(".certificate.json").write_text("{}")
+    recognizer = load(str(network))
+    assert recognizer.min_similarity == 0.4
+    assert "net.certificate.json" in error_of(certificate_of, recognizer)
+
+
 def test_the_threshold_is_that_of_the_certificate_beside_it_if_it_is_its_own(
     network, error_of, certificate
 ):

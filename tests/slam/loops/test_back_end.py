@@ -92,7 +92,7 @@ def test_keyframes_are_taken_one_after_the_other_and_loops_weighed(keyframes):
     assert {(each.match_id, each.query_id) for each in solved.attempts} == {(0, 2), (0, 3), (1, 3)}
     assert in_use(solved) == [(each.match_id, each.query_id) for each in solved.attempts]
     np.testing.assert_allclose(solved.T_world_kf, np.tile(np.eye(4), (4, 1, 1)), atol=1e-3)
-    assert behind.similarities().shape == (4, 4)
+    assert behind.loop_closer.similarities().shape == (4, 4)
 
 
 def test_a_keyframe_closes_no_loop_with_one_that_it_is_linked_to(keyframes):
@@ -299,7 +299,7 @@ def test_after_a_failure_to_compare_nothing_is_taken_in_either(keyframes):
     with pytest.raises(RecognizerError, match="cannot compare"):
         behind.settle()
     assert len(behind.keyframes) == len(behind.solve({}).T_world_kf) == 2
-    assert behind.similarities().shape == (2, 2)
+    assert behind.loop_closer.similarities().shape == (2, 2)
     keyframe, rgb = keyframes[3]
     behind.insert(replace(keyframe, segment=1), (), {}, rgb)
     with pytest.raises(RecognizerError, match="cannot compare"):

@@ -41,7 +41,7 @@ def closer(recognizer=None, *, camera=None, verification=None, **loop):
     return LoopCloser(
         camera,
         recognizer or Scripted(),
-        LoopConfig(**{"min_gap": 1, "second_look": 0, **loop}),
+        LoopConfig(**{"min_gap": 1, **loop}),
         verification or VerificationConfig(),
     )
 
@@ -461,6 +461,15 @@ def test_what_a_second_look_leaves_out_is_recorded_and_not_verified(views, make_
     assert wrong.verification is None
     assert wrong.outcome.reason is RejectionReason.SECOND_LOOK
     assert wrong.outcome.measured < wrong.outcome.needed
+
+
+def test_a_second_look_is_not_taken_at_nothing(views):
+    class Reranks(Scripted):
+        def rerank(self, query, candidates):
+            raise AssertionError("there is nothing to look at")
+
+    loop_closer = closer(Reranks(), camera=views.camera, second_look=10)
+    assert loop_closer.close(keyframe(0, views.reference), direction(0)) == ()
 
 
 def test_a_second_look_is_not_taken_at_what_is_not_similar(views):

@@ -16,7 +16,7 @@ from slam.types import Rejection, SlamError
 
 
 def header_of(sequence):
-    threshold = GradientRecognizer.min_similarity  # before the run adapts it
+    threshold = GradientRecognizer.min_similarity
     return Header("room", "run_slam room", sequence.camera, threshold, None, ("doubt",))
 
 
