@@ -29,6 +29,7 @@ from slam.config import Config, load_config, to_toml
 from slam.datasets import read_camera, write_camera
 from slam.evaluation.trajectory import read_tum
 from slam.loops.back_end import BackEnd
+from slam.loops.loop_closure import LoopCloser
 from slam.output import ending
 from slam.output.claimed_folder import ClaimedFolder
 from slam.system import Slam
@@ -670,11 +671,11 @@ def test_whatever_fails_keeps_what_was_done_until_then(
     assert len(read_tum(ran.folder / "trajectory.txt")) >= 7
 
 
-@pytest.mark.parametrize("stage", ["solve", "similarities"])
+@pytest.mark.parametrize(("part", "stage"), [(BackEnd, "solve"), (LoopCloser, "similarities")])
 def test_a_stage_that_fails_in_the_end_does_not_cost_the_others(
-    run_slam, short_recording, monkeypatch, stage
+    run_slam, short_recording, monkeypatch, part, stage
 ):
-    monkeypatch.setattr(BackEnd, stage, lambda *_: no_memory())
+    monkeypatch.setattr(part, stage, lambda *_: no_memory())
     ran = run_slam(short_recording(12))
     assert "is missing: MemoryError" in ran.complaint
     assert names(ran.folder) == OUTPUTS
