@@ -44,6 +44,7 @@ def _parse(typed: list[str]) -> Callable[[], int]:
 
     def read(left: list[str]) -> Callable[[], int]:
         # Loaded here, so that --version and typing errors of its kind answer at once.
+        from placerec.commands.adapt import adapt
         from placerec.commands.calibrate import calibrate
         from placerec.commands.check import check
         from placerec.commands.evaluate import evaluate
@@ -51,7 +52,7 @@ def _parse(typed: list[str]) -> Callable[[], int]:
         from placerec.commands.fit import fit
         from placerec.commands.train import train
 
-        commands = (check, evaluate, calibrate, fit, train, export)
+        commands = (check, evaluate, calibrate, fit, train, adapt, export)
         told = (f"  {each.__name__:<10} {str(each.__doc__).splitlines()[0]}" for each in commands)
         app = tyro.extras.SubcommandApp()
         for command in commands:

@@ -50,17 +50,18 @@ class Recording(NamedTuple):
     places: NDArray[np.int64] | None
 
 
-def read_tum(folder: Path, stride: int = STRIDE) -> PlaceDataset:
+def read_tum(folder: Path, stride: int = STRIDE, poses: Path | None = None) -> PlaceDataset:
     """Read a folder with rgb.txt and groundtruth.txt; its depth is not looked at.
 
     Args:
         folder: of the recording.
         stride: every how many frames with truth one is used.
+        poses: a list to take the place of groundtruth.txt, such as a run's trajectory.txt.
     """
-    recording = read_recording(folder, stride)
+    recording = read_recording(folder, stride, poses)
     check_images(recording.paths, _short_name(folder))
-    poses = recording.positions_m, recording.quaternions
-    distance = pose_distance(*poses, *poses)
+    cameras = recording.positions_m, recording.quaternions
+    distance = pose_distance(*cameras, *cameras)
     everyone = np.arange(len(recording.paths))
     apart_s = np.abs(recording.timestamps_s[:, None] - recording.timestamps_s)
     dataset = PlaceDataset(
@@ -109,8 +110,10 @@ def read_tum_sessions(
     return keep_readable(dataset)
 
 
-def read_recording(folder: Path, stride: int) -> Recording:
+def read_recording(folder: Path, stride: int, poses: Path | None = None) -> Recording:
     """Return the used frames of a recording: those with a true pose, every so many of a video.
+
+    The poses are those of groundtruth.txt, or of another list.
 
     Raises:
         LoopcloseError: a list cannot be used, or no frame has a true pose.
@@ -119,7 +122,7 @@ def read_recording(folder: Path, stride: int) -> Recording:
     stamps_s, paths = read_images(folder / "rgb.txt", warnings)
     order, frames_s, clock = in_order(stamps_s, folder / "rgb.txt", warnings)
     truth_s, positions_m, quaternions = _read_truth(
-        folder / "groundtruth.txt", stamps_s, clock, warnings
+        poses or folder / "groundtruth.txt", stamps_s, clock, warnings
     )
     for warning in warnings:
         _log.warning("%s: %s", folder, warning)
