@@ -74,7 +74,7 @@ def rerank(query: Features, candidates: Sequence[Features], camera: Camera) -> N
     points are as far apart in one view as in the other, which depth tells without a motion. The
     count is the largest k such that k matches agree with k others each.
     """
-    strong = _strongest(query)
+    strong = strongest(query)
     counts = [_count_rigid(query, strong, each, camera) for each in candidates]
     return np.array(counts, dtype=np.int64)
 
@@ -84,7 +84,7 @@ def _share_with_depth(features: Features) -> float:
     return float(has_depth.mean()) if len(has_depth) else 1.0
 
 
-def _strongest(features: Features) -> NDArray[np.int64]:
+def strongest(features: Features) -> NDArray[np.int64]:
     """Return features with depth, of every pyramid level the same share, its first.
 
     Those of a `FeatureExtractor` are in the order of their strength within each level.
@@ -98,9 +98,13 @@ def _strongest(features: Features) -> NDArray[np.int64]:
     return np.sort(ids[np.argsort(rank / counts[octaves], kind="stable")[:_STRONG]])
 
 
-def _count_rigid(
+def agreements(
     query: Features, strong: NDArray[np.int64], candidate: Features, camera: Camera
-) -> int:
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return (M, 2) matches of features with depth, and (M, M) which of them agree.
+
+    Of the query only strong ones are matched. A match agrees with itself, too.
+    """
     placed = np.flatnonzero(np.isfinite(candidate.depth_m))
     pairs = match_descriptors(
         query.descriptors[strong], candidate.descriptors[placed], _MAX_DISTANCE
@@ -109,7 +113,14 @@ def _count_rigid(
     difference_m = np.abs(_distances(query.points_m[ours]) - _distances(candidate.points_m[theirs]))
     variance = _variance(query, ours, camera) + _variance(candidate, theirs, camera)
     allowed_m = _SLACK_M + _STANDARD_DEVIATIONS * np.sqrt(variance[:, None] + variance)
-    agreeing = np.sort(np.count_nonzero(difference_m < allowed_m, axis=1) - 1)[::-1]  # but itself
+    return np.column_stack([ours, theirs]), difference_m < allowed_m
+
+
+def _count_rigid(
+    query: Features, strong: NDArray[np.int64], candidate: Features, camera: Camera
+) -> int:
+    _, agree = agreements(query, strong, candidate, camera)
+    agreeing = np.sort(np.count_nonzero(agree, axis=1) - 1)[::-1]  # but itself
     return int(np.count_nonzero(agreeing > np.arange(len(agreeing))))
 
 
