@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a second look with depth brings on a sequence, by the paper's eq. 10.
 
-    python benchmarks/second_look.py fr1_xyz --limit 0.25
-    python benchmarks/second_look.py fr1_desk
+    python -m benchmarks.place_recognition.second_look fr1_xyz --limit 0.25
+    python -m benchmarks.place_recognition.second_look fr1_desk
 
 As `placerec evaluate SEQUENCE --second-look` does it for images alone: of every third frame with
 truth the ten most similar ones, more than 3 s away, are looked at again, by ORB features with depth
