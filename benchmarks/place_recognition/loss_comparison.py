@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Is it the loss or the choice of images? The paper's comparison, taken apart.
 
-    python -m benchmarks.place_recognition.loss_comparison SCENES PATHS... \
+    python -m benchmarks.place_recognition.loss_comparison SCENES PATHS fr1_desk corridor \
         --mobilenet mobilenet_v2.npz --work FOLDER
 
 The paper's conditions: a random fully connected layer of 1,000 values behind flattened maps, its
@@ -13,8 +13,9 @@ Three ways to learn start from the same layer, and the first two see the same im
 - *triplet, same sets*: eq. 2 on the sets of Algorithm 1;
 - *triplet, drawn*: eq. 2 on as many images drawn at random, as triplets are without mining.
 
-SCENES and PATHS are made by `python -m benchmarks.training_scenes`, PATHS with --paths. What was
-worked out is kept in FOLDER.
+SCENES and PATHS are made by `python -m benchmarks.training_scenes`, PATHS with --paths; what is
+measured on is any data that `placerec evaluate` takes, or a folder of such. What was worked out is
+kept in FOLDER.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
+from placerec.datasets import LabelledImages, PlaceDataset, open_collection, open_dataset
 from placerec.evaluation.precision_recall import evaluate
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
@@ -65,7 +66,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scenes", type=Path, help="to learn from")
-    parser.add_argument("paths", type=Path, nargs="+", help="to measure on, a kind of scenes each")
+    parser.add_argument("data", nargs="+", help="to measure on, a kind of scenes each")
     parser.add_argument("--mobilenet", type=Path, required=True, help="its ImageNet weights")
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=5)
@@ -79,11 +80,16 @@ def main() -> int:
     folders = sorted(path.parent for path in options.scenes.glob("*/rgb.txt"))
     chosen = folders[:: max(1, len(folders) // options.most_scenes)]
     datasets = [open_dataset(str(folder), "train") for folder in chosen]
-    values = torch.cat([_values(trunk, each, options.work) for each in datasets])
+    values = torch.cat(
+        [_values(trunk, each, f"learn-{each.name}", options.work) for each in datasets]
+    )
     kinds: Kinds = {}
-    for folder in options.paths:
-        opened = [open_dataset(str(path.parent)) for path in sorted(folder.glob("*/rgb.txt"))]
-        kinds[folder.name] = [(each, _values(trunk, each, options.work)) for each in opened]
+    for source in options.data:
+        kind = Path(source).name
+        kinds[kind] = [
+            (each, _values(trunk, each, f"{kind}-{each.name}", options.work))
+            for each in open_collection(source)
+        ]
     images, found = LabelledImages(datasets), {}
     for seed in range(options.seeds):
         for way in WAYS:
@@ -97,13 +103,12 @@ def main() -> int:
 
 
 @torch.no_grad()
-def _values(trunk: PlaceNetwork, dataset: PlaceDataset, work: Path) -> Tensor:
-    """Return the (N, F) float16 flattened maps of a dataset's images."""
-    folder = dataset.paths[0].parents[1]
-    file = work / f"{folder.parent.name}-{folder.name}.npy"
+def _values(trunk: PlaceNetwork, dataset: PlaceDataset, name: str, work: Path) -> Tensor:
+    """Return the (N, F) float16 flattened maps of a dataset's images, kept by a name."""
+    file = work / f"{name}.npy"
     if not file.exists():
         parts = []
-        for start in tqdm(range(0, len(dataset), IMAGES_PER_PASS), desc=folder.name, leave=False):
+        for start in tqdm(range(0, len(dataset), IMAGES_PER_PASS), desc=name, leave=False):
             end = min(start + IMAGES_PER_PASS, len(dataset))
             parts.append(trunk.features(trunk.prepare([dataset[i] for i in range(start, end)])))
         np.save(file, torch.cat(parts).flatten(start_dim=1).half().numpy())
