@@ -50,7 +50,7 @@ def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "Expected one of {check, evaluate, calibrate, fit, train, export}"),
+        ([], "Expected one of {check, evaluate, calibrate, fit, train, adapt, export}"),
         (["check"], "NAME|MODULE:CLASS|FILE"),
         (["bogus"], "bogus"),
         (["train", "x", "--out", "y", "--alpa", "3"], "perhaps you meant --alpha"),
@@ -298,7 +298,9 @@ def printed_at_exit(arguments, capsys):
     return printed.out
 
 
-@pytest.mark.parametrize("command", ["check", "evaluate", "calibrate", "fit", "train", "export"])
+@pytest.mark.parametrize(
+    "command", ["check", "evaluate", "calibrate", "fit", "train", "adapt", "export"]
+)
 def test_help_fits_on_a_screen_and_shows_an_example_or_what_is_needed(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     shown = printed_at_exit([command, "--help"], capsys)
@@ -313,7 +315,7 @@ def test_help_lists_the_commands_each_in_a_line(capsys, monkeypatch):
     lines = printed_at_exit(["-h"], capsys).splitlines()
     assert len(lines) <= 24 and max(map(len, lines)) <= 80
     begins = [line.split()[0] for line in lines if line.startswith("  ")]
-    assert begins[:6] == ["check", "evaluate", "calibrate", "fit", "train", "export"]
+    assert begins[:7] == ["check", "evaluate", "calibrate", "fit", "train", "adapt", "export"]
 
 
 def test_help_all_shows_every_setting(capsys):

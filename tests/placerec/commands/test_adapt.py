@@ -8,7 +8,7 @@ import pytest
 from placerec.__main__ import main
 from placerec.commands import adapt
 from placerec.recognizer import load
-from placerec.recognizers.learned import DEFAULT_WEIGHTS
+from placerec.recognizers.learned import DEFAULT_WEIGHTS, LearnedRecognizer
 from placerec.training import own_recording
 from placerec.training.own_recording import open_own_recording
 
@@ -41,7 +41,7 @@ def test_a_network_is_tuned_by_the_poses_of_run_slam(adapted, recording, capsys,
     recognizer = load(str(adapted / adapt.WEIGHTS_NAME))
     image = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
     assert np.linalg.norm(recognizer.embed(image)) == pytest.approx(1.0, abs=1e-5)
-    assert recognizer.min_similarity == load("learned").min_similarity
+    assert recognizer.min_similarity == LearnedRecognizer().min_similarity
 
 
 def test_what_would_be_worse_is_not_taken(adapted, recording, tmp_path, capsys, monkeypatch):
