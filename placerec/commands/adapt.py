@@ -29,7 +29,7 @@ def adapt(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     weights: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """Tune a network to the places of your own recordings; nobody has to label anything.
+    """Tune a network to your own recordings, without labels.
 
     Example: placerec adapt path/to/recording --out runs/mine
 
