@@ -21,6 +21,7 @@ kept in FOLDER.
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from statistics import fmean
 
@@ -32,6 +33,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
+from benchmarks.place_recognition.trainings import PAPERS_MARGINS
 from placerec.datasets import LabelledImages, PlaceDataset, open_collection, open_dataset
 from placerec.evaluation.precision_recall import evaluate
 from placerec.networks import TRUNKS, PlaceNetwork
@@ -50,7 +52,8 @@ from placerec.training.losses import (
 )
 
 SIZE_PX, BLOCK = (160, 120), "block12"
-ALPHA, BETA, RULES = 0.5, 0.3, SetRules()
+RULES = SetRules()
+ALPHA, BETA = PAPERS_MARGINS["alpha"], PAPERS_MARGINS["beta"]
 DIMENSION, BATCH_SETS, LEARNING_RATE = 1000, 5, 1e-4
 SCENES_PER_ROUND, PLACES_PER_SCENE, IMAGES_PER_PLACE = 3, 12, 4
 IMAGES_PER_PASS = 16
@@ -149,7 +152,7 @@ def _rounds(
     images: LabelledImages, values: Tensor, layer: torch.nn.Linear, way: str, seed: int
 ) -> Iterator[ImageSets]:
     """Yield five sets at a time, of images that are drawn alike for all ways."""
-    for number in range(1_000_000):
+    for number in count():
         rng = np.random.default_rng([seed, number])
         draw = (SCENES_PER_ROUND, PLACES_PER_SCENE, rng)
         visited = sample_scenes(images.scenes, images.places, images.collections, *draw)

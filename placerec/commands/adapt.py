@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from placerec.checked_recognizer import Embeddings
@@ -19,8 +18,6 @@ from placerec.evaluation.embeddings import embed_dataset
 from placerec.evaluation.precision_recall import Evaluation, evaluate
 from placerec.files import is_file, write_atomically
 from placerec.recognizer import PlaceRecognizer
-
-WEIGHTS_NAME = "weights.safetensors"
 
 
 def adapt(
@@ -51,6 +48,7 @@ def adapt(
     from placerec.recognizers.learned import DEFAULT_WEIGHTS, LearnedRecognizer
     from placerec.training.adaptation import adapt_last_layer, spread_of
     from placerec.training.own_recording import open_own_recording, run_slam
+    from placerec.training.run import WEIGHTS_NAME
 
     folders = _folders(data)
     start = weights or DEFAULT_WEIGHTS
@@ -59,14 +57,11 @@ def adapt(
     for folder in folders:
         run_slam(folder, out / folder.name)
         opened.append(open_own_recording(folder, out / folder.name))
-        with_skipped_named(opened[-1].images)
-    judged = [each.judged for each in opened]
+    judged = [with_skipped_named(each.judged) for each in opened]
     before = _embed(recognizer, judged)
-    within, beyond = [], []
-    for each, embeddings in zip(opened, before, strict=True):
-        learned = embeddings[each.learned], np.ix_(each.learned, each.learned)
-        within.append(spread_of(learned[0], each.same[learned[1]]))
-        beyond.append(spread_of(learned[0], each.beyond[learned[1]]))
+    seen = list(zip(opened, before, strict=True))
+    within = [spread_of(embeddings, each.same) for each, embeddings in seen]
+    beyond = [spread_of(embeddings, each.beyond) for each, embeddings in seen]
     adapt_last_layer(recognizer.network, within, beyond)
     after = _embed(recognizer, judged)
     pairs = [

@@ -36,17 +36,19 @@ class DepthCamera(BaseModel):
     depth_scale: float = Field(gt=0.0)
 
 
+class _Summary(BaseModel):
+    camera: DepthCamera
+
+
 def camera_of_run(summary: Path) -> DepthCamera:
     """Return the camera that a run's summary.json names.
 
     Raises:
         LoopcloseError: the file cannot be read, or names none.
     """
-    content = read_json(summary)
     try:
-        camera = content["camera"] if isinstance(content, dict) else None
-        return DepthCamera.model_validate(camera)
-    except (KeyError, ValidationError) as error:
+        return _Summary.model_validate(read_json(summary)).camera
+    except ValidationError as error:
         raise RecognizerError(f"no camera is named in it: {summary}") from error
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from placerec.datasets import PlaceDataset
+from placerec.datasets import LabelledImages, PlaceDataset
 from placerec.datasets.depth_overlap import camera_of_run, overlaps
 from placerec.datasets.place_dataset import BoolMatrix
-from placerec.datasets.pose_distance import JUST_BEYOND, SAME_PLACE, pose_distance
-from placerec.datasets.tum import read_recording, read_tum
+from placerec.datasets.tum import read_tum
+from placerec.datasets.tum_lists import read_poses
 from placerec.errors import RecognizerError
 from placerec.files import is_file
 
@@ -30,18 +30,14 @@ class OwnRecording:
     """N images of a recording, spread over it, and what is known of them.
 
     Attributes:
-        images: all of them.
-        learned: (N,) bool, those to learn from, which came before the others.
-        same: (N, N) symmetric bool, the pairs that show one place.
+        judged: all of them; its queries are those at the end, each looked for among all.
+        same: (N, N) symmetric bool, the pairs of the others that show one place.
         beyond: likewise, those that show places just beyond each other.
-        judged: the others, each looked for among all.
     """
 
-    images: PlaceDataset
-    learned: BoolMatrix
+    judged: PlaceDataset
     same: BoolMatrix
     beyond: BoolMatrix
-    judged: PlaceDataset
 
 
 def run_slam(recording: Path, out: Path) -> None:
@@ -68,9 +64,8 @@ def open_own_recording(recording: Path, run: Path) -> OwnRecording:
         LoopcloseError: it cannot be read, or its end shows no place that was seen before.
     """
     poses = run / TRAJECTORY_NAME
-    every = read_recording(recording, 1, poses)
-    stride = -(-len(every.paths) // MOST_IMAGES)
-    images = read_tum(recording, stride, poses)
+    stride = -(-sum(1 for _ in read_poses(poses)) // MOST_IMAGES)
+    images = read_tum(recording, max(1, stride), poses)
     learned = np.arange(len(images)) < round((1.0 - HELD_BACK) * len(images))
     judged = np.flatnonzero(~learned)
     held_back = replace(
@@ -88,15 +83,9 @@ def open_own_recording(recording: Path, run: Path) -> OwnRecording:
             "before, so nobody could tell what learning from it brings; give a recording in which "
             "the camera comes back"
         )
-    assert images.positions_m is not None and images.quaternions is not None
-    cameras = images.positions_m, images.quaternions
-    distance = pose_distance(*cameras, *cameras)
-    near = (distance < SAME_PLACE) & ~np.eye(len(images), dtype=np.bool_)
+    truth = LabelledImages([images]).pairs(np.arange(len(images)))
+    pairs = learned[:, None] & learned & ~np.eye(len(images), dtype=np.bool_)
+    near = truth.same & pairs
     shares = overlaps(recording, images, camera_of_run(run / SUMMARY_NAME), near)
-    return OwnRecording(
-        images=images,
-        learned=learned,
-        same=near & ~(shares < LEAST_OVERLAP),  # where depth is silent, poses have the only say
-        beyond=(distance >= SAME_PLACE) & (distance < JUST_BEYOND),
-        judged=held_back,
-    )
+    # Where depth is silent, poses have the only say.
+    return OwnRecording(held_back, near & ~(shares < LEAST_OVERLAP), truth.beyond & pairs)

@@ -11,6 +11,7 @@ from placerec.recognizer import load
 from placerec.recognizers.learned import DEFAULT_WEIGHTS, LearnedRecognizer
 from placerec.training import own_recording
 from placerec.training.own_recording import open_own_recording
+from placerec.training.run import WEIGHTS_NAME
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +32,14 @@ def test_a_network_is_tuned_by_the_poses_of_run_slam(adapted, recording, capsys,
         raise AssertionError("the run was there already")
 
     monkeypatch.setattr(own_recording.subprocess, "run", run_again)
-    first = (adapted / adapt.WEIGHTS_NAME).read_bytes()
+    first = (adapted / WEIGHTS_NAME).read_bytes()
     assert main(["adapt", str(recording), "--out", str(adapted)]) == 0
     told = capsys.readouterr().out
     before, after = _figures(told)
     is_better = "\nbetter: written to" in told
     assert is_better == (after > before) and is_better == (first != DEFAULT_WEIGHTS.read_bytes())
-    assert (adapted / adapt.WEIGHTS_NAME).read_bytes() == first  # the same every time
-    recognizer = load(str(adapted / adapt.WEIGHTS_NAME))
+    assert (adapted / WEIGHTS_NAME).read_bytes() == first  # the same every time
+    recognizer = load(str(adapted / WEIGHTS_NAME))
     image = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
     assert np.linalg.norm(recognizer.embed(image)) == pytest.approx(1.0, abs=1e-5)
     assert recognizer.min_similarity == LearnedRecognizer().min_similarity
@@ -59,15 +60,16 @@ def test_what_would_be_worse_is_not_taken(adapted, recording, tmp_path, capsys, 
     told = capsys.readouterr().out
     before, after = _figures(told)
     assert after < before and "\nno better: the weights as they were" in told
-    assert (tmp_path / adapt.WEIGHTS_NAME).read_bytes() == DEFAULT_WEIGHTS.read_bytes()
+    assert (tmp_path / WEIGHTS_NAME).read_bytes() == DEFAULT_WEIGHTS.read_bytes()
 
 
 def test_the_end_of_a_recording_is_not_learned_from(adapted, recording):
     own = open_own_recording(recording, adapted / recording.name)
-    learned = np.flatnonzero(own.learned)
-    assert len(learned) == round(0.7 * len(own.images))
-    assert not np.isin(own.judged.queries, learned).any()
-    assert own.same[np.ix_(own.learned, own.learned)].any()
+    count, end = len(own.judged), own.judged.queries
+    assert end.tolist() == list(range(round(0.7 * count), count))
+    assert not own.same[end].any() and not own.beyond[end].any()
+    assert own.same.any()
+    assert (own.same == own.same.T).all() and (own.beyond == own.beyond.T).all()
     assert not (own.same & own.beyond).any()
     assert not own.same.diagonal().any()
 
