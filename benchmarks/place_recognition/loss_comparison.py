@@ -19,11 +19,13 @@ kept in FOLDER.
 """
 
 import argparse
+import io
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,6 +38,7 @@ from tqdm import tqdm
 from benchmarks.place_recognition.trainings import PAPERS_MARGINS
 from placerec.datasets import LabelledImages, PlaceDataset, open_collection, open_dataset
 from placerec.evaluation.precision_recall import evaluate
+from placerec.files import write_atomically
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import load_pretrained
 from placerec.training.image_sets import (
@@ -99,7 +102,7 @@ def main() -> int:
             file = options.work / f"{way.replace(', ', '-')}-seed{seed}-{options.steps}.npy"
             if not file.exists():
                 curve = list(_learn(images, values, kinds, way, seed, options.steps))
-                np.save(file, np.array(curve))
+                _keep(file, np.array(curve))
             found[way, seed] = np.load(file)
     _print(list(kinds), found, range(options.seeds))
     return 0
@@ -114,8 +117,14 @@ def _values(trunk: PlaceNetwork, dataset: PlaceDataset, name: str, work: Path) -
         for start in tqdm(range(0, len(dataset), IMAGES_PER_PASS), desc=name, leave=False):
             end = min(start + IMAGES_PER_PASS, len(dataset))
             parts.append(trunk.features(trunk.prepare([dataset[i] for i in range(start, end)])))
-        np.save(file, torch.cat(parts).flatten(start_dim=1).half().numpy())
+        _keep(file, torch.cat(parts).flatten(start_dim=1).half().numpy())
     return torch.from_numpy(np.load(file))
+
+
+def _keep(file: Path, values: NDArray[Any]) -> None:
+    buffer = io.BytesIO()
+    np.save(buffer, values)
+    write_atomically(file, buffer.getvalue())
 
 
 def _learn(
