@@ -70,21 +70,21 @@ class Features:
     """ORB features of one frame.
 
     Attributes:
-        pixels: (N, 2) float64, where each was seen in the (distorted) image.
-        undistorted_px: (N, 2) float64, without what lens and rolling shutter do.
-        octaves: (N,) int, pyramid level: a feature's pixel noise grows with it.
+        pixels: (N, 2) float32, where each was seen in the (distorted) image.
+        undistorted_px: (N, 2) float32, without what lens and rolling shutter do.
+        octaves: (N,) uint8, pyramid level: a feature's pixel noise grows with it.
         descriptors: (N, 32) uint8.
-        depth_m: (N,) float64, metres along the optical axis, NaN where unknown.
-        points_m: (N, 3) float64, camera frame, NaN where unknown; a keyframe's without depth may be
+        depth_m: (N,) float32, metres along the optical axis, NaN where unknown.
+        points_m: (N, 3) float32, camera frame, NaN where unknown; a keyframe's without depth may be
             known from other keyframes.
     """
 
-    pixels: FloatArray
-    undistorted_px: FloatArray
-    octaves: NDArray[np.int64]
+    pixels: NDArray[np.float32]
+    undistorted_px: NDArray[np.float32]
+    octaves: NDArray[np.uint8]
     descriptors: NDArray[np.uint8]
-    depth_m: FloatArray
-    points_m: FloatArray
+    depth_m: NDArray[np.float32]
+    points_m: NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -4,26 +4,23 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.compiled import compiled, count_bits
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _CELL_PX = 20.0
+_OCTAVES_APART = 1.5
 
 
 class FeatureGrid:
     """The features of one frame, sorted into the cells of a grid."""
 
     def __init__(self, features: Features, camera: Camera) -> None:
-        self._octaves = features.octaves
-        self._u, self._v = np.ascontiguousarray(features.undistorted_px.T)
+        self._octaves = np.asarray(features.octaves, np.uint8)
+        self._pixels = np.ascontiguousarray(features.undistorted_px, np.float32)
         self._words = _words(features.descriptors)
         self._columns = int(np.ceil(camera.width / _CELL_PX))
         self._rows = int(np.ceil(camera.height / _CELL_PX))
-        column, row = self._cell(features.undistorted_px)
-        cells = row * self._columns + column
-        self._order = np.argsort(cells, kind="stable")
-        self._starts = np.searchsorted(
-            cells[self._order], np.arange(self._rows * self._columns + 1)
-        )
+        self._order, self._starts = _sorted_into_cells(self._pixels, self._columns, self._rows)
 
     def search(
         self,
@@ -36,55 +33,97 @@ class FeatureGrid:
         """Return (M, 2) int, pairs (point, feature) that are each other's best by Hamming distance.
 
         P points, with (P, 32) uint8 descriptors, are looked for within (P,) radii of (P, 2)
-        undistorted pixels, each on a pyramid level close to its (P,) octave.
+        undistorted pixels, each on a pyramid level close to its (P,) octave. The most alike come
+        first.
         """
-        point, feature = self._near(expected_px, radius_px)
-        u, v = np.ascontiguousarray(expected_px.T)
-        offset_u, offset_v = self._u[feature] - u[point], self._v[feature] - v[point]
-        is_near = offset_u**2 + offset_v**2 <= (radius_px**2)[point]
-        is_near &= np.abs(self._octaves[feature] - octaves[point]) <= 1.5
-        point, feature = point[is_near], feature[is_near]
-        differing = self._words[feature] ^ _words(descriptors)[point]
-        distance = np.bitwise_count(differing) @ np.ones(differing.shape[1], dtype=np.int64)
-        is_alike = distance <= max_distance
-        point, feature, distance = point[is_alike], feature[is_alike], distance[is_alike]
-        order = np.lexsort((feature, point, distance))  # ties have one winner
-        point, feature = point[order], feature[order]
-        is_mutual = _is_first(point) & _is_first(feature)
-        return np.column_stack([point[is_mutual], feature[is_mutual]])
-
-    def _near(self, expected_px: FloatArray, radius_px: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return all pairs (point, feature) whose cells touch the search window."""
-        radius = radius_px[:, None]
-        first_column, first_row = self._cell(expected_px - radius)
-        last_column, last_row = self._cell(expected_px + radius)
-        # The cells of a window that lie in one row follow each other in the sorted features.
-        point, row_in_window = _ranges(last_row - first_row + 1)
-        row_start = (first_row[point] + row_in_window) * self._columns
-        start = self._starts[row_start + first_column[point]]
-        end = self._starts[row_start + last_column[point] + 1]
-        strip, position = _ranges(end - start)
-        return point[strip], self._order[start[strip] + position]
-
-    def _cell(self, pixels: FloatArray) -> tuple[IntArray, IntArray]:
-        column, row = np.floor(pixels / _CELL_PX).astype(np.int64).T
-        return np.clip(column, 0, self._columns - 1), np.clip(row, 0, self._rows - 1)
+        pairs, distances = _search(
+            self._pixels,
+            self._octaves,
+            self._words,
+            self._order,
+            self._starts,
+            self._columns,
+            np.ascontiguousarray(expected_px),
+            np.ascontiguousarray(radius_px),
+            np.ascontiguousarray(octaves),
+            _words(descriptors),
+            max_distance,
+        )
+        return pairs[np.argsort(distances, kind="stable")]  # ties have one winner
 
 
 def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
     return np.ascontiguousarray(descriptors).view(np.uint64)
 
 
-def _ranges(lengths: IntArray) -> tuple[IntArray, IntArray]:
-    """Return, for each i and each j < lengths[i], i and j."""
-    owner = np.repeat(np.arange(len(lengths)), lengths)
-    starts = np.cumsum(lengths) - lengths
-    return owner, np.arange(len(owner)) - starts[owner]
+@compiled
+def _cell(pixel: float, cells: int) -> int:
+    return min(max(int(np.floor(pixel / _CELL_PX)), 0), cells - 1)
 
 
-def _is_first(values: IntArray) -> NDArray[np.bool_]:
-    """Return which of some small numbers stand where they occur for the first time."""
-    places = np.arange(len(values))
-    first = np.empty(values.max(initial=-1) + 1, dtype=np.int64)
-    first[values[::-1]] = places[::-1]  # the last one that is written stays
-    return np.asarray(first[values] == places)
+@compiled
+def _sorted_into_cells(
+    pixels: NDArray[np.float32], columns: int, rows: int
+) -> tuple[IntArray, IntArray]:
+    """Return (N,) the features in the order of their cells, row by row, and where each begins."""
+    cells = np.empty(len(pixels), np.int64)
+    starts = np.zeros(rows * columns + 1, np.int64)
+    for i in range(len(pixels)):
+        cells[i] = _cell(pixels[i, 1], rows) * columns + _cell(pixels[i, 0], columns)
+        starts[cells[i] + 1] += 1
+    starts = np.cumsum(starts)
+    order, filled = np.empty(len(pixels), np.int64), starts.copy()
+    for i in range(len(pixels)):
+        order[filled[cells[i]]] = i
+        filled[cells[i]] += 1
+    return order, starts
+
+
+@compiled
+def _search(
+    pixels: NDArray[np.float32],
+    octaves: NDArray[np.uint8],
+    words: NDArray[np.uint64],
+    order: IntArray,
+    starts: IntArray,
+    columns: int,
+    expected_px: FloatArray,
+    radius_px: FloatArray,
+    expected_octaves: FloatArray,
+    expected_words: NDArray[np.uint64],
+    max_distance: int,
+) -> tuple[IntArray, IntArray]:
+    """Return (M, 2) pairs (point, feature) in the order of points, and how far apart they are."""
+    rows = (len(starts) - 1) // columns
+    points, features = len(expected_px), len(pixels)
+    feature_of = np.full(points, -1, np.int64)
+    distance_of = np.empty(points, np.int64)
+    point_of = np.full(features, -1, np.int64)
+    nearest_of = np.full(features, max_distance + 1, np.int64)
+    for i in range(points):
+        u, v, radius = expected_px[i, 0], expected_px[i, 1], radius_px[i]
+        first, last = _cell(u - radius, columns), _cell(u + radius, columns)
+        nearest = max_distance + 1
+        for row in range(_cell(v - radius, rows), _cell(v + radius, rows) + 1):
+            # The cells of a window that lie in one row follow each other in the sorted features.
+            for k in range(starts[row * columns + first], starts[row * columns + last + 1]):
+                j = order[k]
+                off_u, off_v = pixels[j, 0] - u, pixels[j, 1] - v
+                if off_u * off_u + off_v * off_v > radius * radius:
+                    continue
+                if abs(octaves[j] - expected_octaves[i]) > _OCTAVES_APART:
+                    continue
+                distance = 0
+                for word in range(words.shape[1]):
+                    distance += count_bits(words[j, word] ^ expected_words[i, word])
+                if distance < nearest or (distance == nearest and j < feature_of[i]):
+                    nearest, feature_of[i] = distance, j
+                if distance < nearest_of[j]:
+                    nearest_of[j], point_of[j] = distance, i
+        distance_of[i] = nearest
+    pairs, distances, count = np.empty((points, 2), np.int64), np.empty(points, np.int64), 0
+    for i in range(points):
+        if feature_of[i] >= 0 and point_of[feature_of[i]] == i:
+            pairs[count, 0], pairs[count, 1], distances[count] = i, feature_of[i], distance_of[i]
+            count += 1
+    return pairs[:count], distances[:count]

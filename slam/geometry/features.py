@@ -2,15 +2,15 @@
 """ORB features with depth: found in one image, matched between two."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from slam.compiled import compiled, count_bits
 from slam.config import PYRAMID_SCALE, FeaturesConfig
-from slam.types import Camera, Features, FloatArray, Frame
+from slam.types import Camera, Features, FloatArray, Frame, IntArray
 
 
 def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Features:
@@ -21,21 +21,58 @@ def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Fe
     """
     if camera.readout_s == 0.0 or not velocity.any():
         return features
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     time_s = camera.readout_s * ((features.pixels[:, 1] + 0.5) / camera.height - 0.5)
-    has_depth = np.isfinite(features.depth_m)
-    rays = (features.undistorted_px - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    points_m = np.column_stack([rays, np.ones(len(rays))])
-    points_m *= np.where(has_depth, features.depth_m, 1.0)[:, None]
-    points_m = Rotation.from_rotvec(time_s[:, None] * velocity[:3]).apply(points_m)
-    points_m += (has_depth * time_s)[:, None] * velocity[3:]
-    pixels = points_m[:, :2] / points_m[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    unknown = np.where(has_depth, 1.0, np.nan)[:, None]
+    points_m, undistorted_px, depth_m = _moved(
+        np.asarray(features.undistorted_px, np.float64),
+        np.asarray(features.depth_m, np.float64),
+        np.asarray(time_s, np.float64),
+        np.asarray(velocity, np.float64),
+        intrinsics,
+    )
     return replace(
         features,
-        undistorted_px=pixels,
-        depth_m=points_m[:, 2] * unknown[:, 0],
-        points_m=points_m * unknown,
+        undistorted_px=undistorted_px.astype(np.float32),
+        depth_m=depth_m.astype(np.float32),
+        points_m=points_m.astype(np.float32),
     )
+
+
+@compiled
+def _moved(
+    pixels: FloatArray,
+    depth_m: FloatArray,
+    time_s: FloatArray,
+    velocity: FloatArray,
+    intrinsics: tuple[float, float, float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (N, 3) points, (N, 2) pixels and (N,) depths after (N,) times at a (6,) velocity."""
+    fx, fy, cx, cy = intrinsics
+    points_m, moved_px = np.empty((len(pixels), 3)), np.empty((len(pixels), 2))
+    moved_m = np.empty(len(pixels))
+    speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    axis = velocity[:3] / max(speed, 1e-300)
+    for i in range(len(pixels)):
+        has_depth = np.isfinite(depth_m[i])
+        z = depth_m[i] if has_depth else 1.0
+        x, y = (pixels[i, 0] - cx) / fx * z, (pixels[i, 1] - cy) / fy * z
+        sine, cosine = np.sin(speed * time_s[i]), np.cos(speed * time_s[i])
+        along = (axis[0] * x + axis[1] * y + axis[2] * z) * (1.0 - cosine)
+        turned_x = x * cosine + (axis[1] * z - axis[2] * y) * sine + axis[0] * along
+        turned_y = y * cosine + (axis[2] * x - axis[0] * z) * sine + axis[1] * along
+        turned_z = z * cosine + (axis[0] * y - axis[1] * x) * sine + axis[2] * along
+        if has_depth:
+            turned_x += time_s[i] * velocity[3]
+            turned_y += time_s[i] * velocity[4]
+            turned_z += time_s[i] * velocity[5]
+        moved_px[i, 0] = fx * turned_x / turned_z + cx
+        moved_px[i, 1] = fy * turned_y / turned_z + cy
+        points_m[i] = np.nan
+        moved_m[i] = np.nan
+        if has_depth:
+            points_m[i, 0], points_m[i, 1], points_m[i, 2] = turned_x, turned_y, turned_z
+            moved_m[i] = turned_z
+    return points_m, moved_px, moved_m
 
 
 _BORDER_PX = 19  # ORB's patch does not fit closer to the image border
@@ -63,20 +100,21 @@ class FeatureExtractor:
         """Return the frame's features; there may be none in a blank image."""
         grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
         keypoints = self._orb.detect(grey, None)
-        keypoints = [keypoints[i] for i in _spread(keypoints, self._config.count)]
-        keypoints, descriptors = self._orb.compute(grey, keypoints)
+        strength = np.array([k.response for k in keypoints], np.float32)
+        chosen = _spread(_pixels(keypoints), strength, self._config.count)
+        keypoints, descriptors = self._orb.compute(grey, [keypoints[i] for i in chosen])
         if descriptors is None:
             keypoints, descriptors = [], np.zeros((0, 32))
         pixels = _pixels(keypoints)
         undistorted_px = undistort(pixels, self._camera)
         u, v = np.rint(pixels).astype(np.int64).T
-        depth_m = frame.depth_m[v, u].astype(np.float64)
-        depth_m = np.where((depth_m > 0.0) & np.isfinite(depth_m), depth_m, np.nan)
+        depth_m = frame.depth_m[v, u]
+        depth_m[~((depth_m > 0.0) & np.isfinite(depth_m))] = np.nan
         return Features(
             pixels=pixels,
             undistorted_px=undistorted_px,
-            octaves=np.array([k.octave for k in keypoints], dtype=np.int64),
-            descriptors=np.asarray(descriptors, dtype=np.uint8),
+            octaves=np.array([k.octave for k in keypoints], np.uint8),
+            descriptors=np.asarray(descriptors, np.uint8),
             depth_m=depth_m,
             points_m=back_project(undistorted_px, depth_m, self._camera),
         )
@@ -93,44 +131,86 @@ def match_descriptors(
     """Return the same of (N, 32) and (K, 32) descriptors."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
-    pairs = [(m.queryIdx, m.trainIdx) for m in matches if m.distance <= max_distance]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return _mutual_nearest(_words(a), np.ascontiguousarray(_words(b).T), max_distance)
 
 
-def undistort(pixels: FloatArray, camera: Camera) -> FloatArray:
+def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    return np.ascontiguousarray(descriptors).view(np.uint64)
+
+
+@compiled
+def _mutual_nearest(a: NDArray[np.uint64], b: NDArray[np.uint64], max_distance: int) -> IntArray:
+    """Return the pairs of (N, W) and (W, K) words; of equally near ones the first is nearest."""
+    words, others = b.shape
+    nearest_of_b, a_of_b = np.full(others, 64 * words + 1, np.int64), np.zeros(others, np.int64)
+    b_of_a, distances = np.zeros(len(a), np.int64), np.empty(others, np.int64)
+    for i in range(len(a)):
+        distances[:] = 0
+        for word in range(words):  # the inner loops run over all others at once
+            for j in range(others):
+                distances[j] += count_bits(a[i, word] ^ b[word, j])
+        nearest = 64 * words + 1
+        for j in range(others):
+            if distances[j] < nearest:
+                nearest, b_of_a[i] = distances[j], j
+        for j in range(others):
+            if distances[j] < nearest_of_b[j]:
+                nearest_of_b[j], a_of_b[j] = distances[j], i
+    pairs, count = np.empty((len(a), 2), np.int64), 0
+    for i in range(len(a)):
+        if a_of_b[b_of_a[i]] == i and nearest_of_b[b_of_a[i]] <= max_distance:
+            pairs[count, 0], pairs[count, 1] = i, b_of_a[i]
+            count += 1
+    return pairs[:count]
+
+
+def undistort(pixels: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Return (N, 2) pixels as an ideal pinhole camera would have seen them."""
     if len(pixels) == 0 or not any(camera.distortion):
         return pixels.copy()
     coefficients = np.array(camera.distortion)
     K = camera.matrix
     undistorted = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, coefficients, P=K)
-    return np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
+    return np.asarray(undistorted, dtype=pixels.dtype).reshape(-1, 2)
 
 
-def back_project(undistorted_px: FloatArray, depth_m: FloatArray, camera: Camera) -> FloatArray:
+_Array = TypeVar("_Array", NDArray[np.float32], FloatArray)
+
+
+def back_project(undistorted_px: _Array, depth_m: _Array, camera: Camera) -> _Array:
     """Return (N, 3) points, metres, camera frame, of (N, 2) undistorted pixels and (N,) depths."""
     x = (undistorted_px[:, 0] - camera.cx) / camera.fx
     y = (undistorted_px[:, 1] - camera.cy) / camera.fy
     return np.stack([x * depth_m, y * depth_m, depth_m], axis=1)
 
 
-def _pixels(keypoints: Any) -> FloatArray:
-    return np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64).reshape(-1, 2)
+def _pixels(keypoints: Any) -> NDArray[np.float32]:
+    return np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32).reshape(-1, 2)
 
 
-def _spread(keypoints: Any, count: int) -> NDArray[np.int64]:
+def _spread(
+    pixels: NDArray[np.float32], strength: NDArray[np.float32], count: int
+) -> NDArray[np.int64]:
     # The strongest corners crowd on a few objects, and a pose is only as good as its support is
     # wide: every cell of a grid offers its best first, then its second best, and so on.
-    if len(keypoints) <= count:
-        return np.arange(len(keypoints))
-    cell_px = 40
-    column, row = (_pixels(keypoints) // cell_px).T
-    cells = 1000 * row + column
-    strength = np.array([k.response for k in keypoints])
-    by_cell = np.lexsort((-strength, cells))
-    sorted_cells = cells[by_cell]
-    first_of_cell = np.searchsorted(sorted_cells, sorted_cells, side="left")
-    rank_in_cell = np.empty(len(cells), dtype=np.int64)
-    rank_in_cell[by_cell] = np.arange(len(cells)) - first_of_cell
-    return np.lexsort((-strength, rank_in_cell))[:count]
+    if len(pixels) <= count:
+        return np.arange(len(pixels))
+    strongest_first = np.argsort(-strength, kind="stable")
+    rank = _rank_in_cell(pixels[strongest_first])
+    return strongest_first[np.argsort(rank, kind="stable")[:count]]
+
+
+_SPREAD_PX = 40
+
+
+@compiled
+def _rank_in_cell(pixels: NDArray[np.float32]) -> IntArray:
+    """Return how many pixels of the same cell come before each of (N, 2)."""
+    columns = int(pixels[:, 0].max() // _SPREAD_PX) + 1
+    taken = np.zeros(columns * (int(pixels[:, 1].max() // _SPREAD_PX) + 1), np.int64)
+    rank = np.empty(len(pixels), np.int64)
+    for i in range(len(pixels)):
+        cell = columns * int(pixels[i, 1] // _SPREAD_PX) + int(pixels[i, 0] // _SPREAD_PX)
+        rank[i] = taken[cell]
+        taken[cell] += 1
+    return rank

@@ -5,35 +5,26 @@ Of two views each match is measured twice: the reference's point as the query sh
 the query's point as the reference should see it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.compiled import compiled
 from slam.geometry import se3
-from slam.geometry.reprojection import Observations, robust_weights
+from slam.geometry.normal_equations import (
+    add_as_query,
+    add_as_reference,
+    agreement,
+    empty_equations,
+    stepped,
+)
+from slam.geometry.reprojection import Intrinsics, Observations, intrinsics
 from slam.types import Camera, Features, FloatArray
 
-# At most so many steps, and none after one whose norm, of this order, is less than that.
-_POSE_STEPS = (4, 1e-4, np.inf)
-_MOTION_STEPS = (8, 1e-6, 2)
-
-_NormalEquations = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-
-
-def _gauss_newton(
-    T_a_b: FloatArray, equations: _NormalEquations, steps: int, small: float, order: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return T_a_b after Gauss-Newton steps on its right, and the (6, 6) Hessian of the last."""
-    for _ in range(steps):
-        hessian, gradient = equations(T_a_b)
-        step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
-        T_a_b = T_a_b @ se3.exp(step)
-        if np.linalg.norm(step, order) < small:
-            break
-    return T_a_b, hessian
+# At most so many steps, and none after one that is smaller than that.
+_POSE_STEPS, _SMALL_POSE_STEP = 4, 1e-4
+_MOTION_STEPS, _SMALL_MOTION_STEP = 8, 1e-6
 
 
 @dataclass(frozen=True)
@@ -62,25 +53,33 @@ def refine_pose(
 
     A point counts in one of the rounds if it agreed after the one before; in the first all do.
     """
-    inlier_mask = np.ones(len(points_m), dtype=bool)
+    points_m = np.ascontiguousarray(points_m)
+    found = _refined_pose(
+        T_world_cam, points_m, measured.seen, measured.sigma, intrinsics(camera), rounds
+    )
+    return RefinedPose(*found)
+
+
+@compiled
+def _refined_pose(
+    T_world_cam: FloatArray,
+    points_m: FloatArray,
+    seen: FloatArray,
+    sigma: FloatArray,
+    camera: Intrinsics,
+    rounds: int,
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    inlier_mask = np.ones(len(points_m), np.bool_)
+    hessian, gradient = empty_equations()
     for _ in range(rounds):
-        seen = measured.select(inlier_mask)
-        equations = partial(_pose_equations, points_m[inlier_mask], seen, camera)
-        T_world_cam, hessian = _gauss_newton(T_world_cam, equations, *_POSE_STEPS)
-        points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
-        inlier_mask = measured.agree(points_cam_m, camera)
-    return RefinedPose(T_world_cam, hessian, inlier_mask)
-
-
-def _pose_equations(
-    points_m: FloatArray, measured: Observations, camera: Camera, T_world_cam: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    points_cam_m = se3.transform(se3.inverse(T_world_cam), points_m)
-    residuals, J = measured.residuals_by_pose(points_cam_m, camera)
-    weighted_J = robust_weights(residuals.T).T.reshape(-1) * J.reshape(6, -1)
-    # A trace of curvature keeps the step finite where few points leave a direction open.
-    hessian = weighted_J @ J.reshape(6, -1).T + 1e-6 * np.eye(6)
-    return hessian, weighted_J @ residuals.ravel()
+        for _ in range(_POSE_STEPS):
+            hessian, gradient = empty_equations()
+            add_as_query(T_world_cam, points_m, seen, sigma, inlier_mask, camera, hessian, gradient)
+            T_world_cam, step = stepped(T_world_cam, hessian, gradient)
+            if np.abs(step).max() < _SMALL_POSE_STEP:
+                break
+        agreement(T_world_cam, points_m, seen, sigma, camera, inlier_mask)
+    return T_world_cam, hessian, inlier_mask
 
 
 @dataclass(frozen=True)
@@ -108,13 +107,17 @@ class Correspondences:
         """Collect the measurements of (M, 2) index pairs (reference, query)."""
         i, j = pairs.T
         return Correspondences(
-            query_view=_View(reference.points_m[i], Observations.of(query, j, camera)),
-            reference_view=_View(query.points_m[j], Observations.of(reference, i, camera)),
+            query_view=_View(_points_m(reference, i), Observations.of(query, j, camera)),
+            reference_view=_View(_points_m(query, j), Observations.of(reference, i, camera)),
         )
 
     def select(self, mask: NDArray[np.bool_]) -> "Correspondences":
         """Keep the matches where the (M,) mask is true."""
         return Correspondences(self.query_view.select(mask), self.reference_view.select(mask))
+
+
+def _points_m(features: Features, index: NDArray[np.int64]) -> FloatArray:
+    return features.points_m[index].astype(np.float64)
 
 
 def refine(
@@ -124,9 +127,45 @@ def refine(
 
     The Hessian belongs to a tangent [rotation; translation] applied on the right of T_ref_query.
     """
-    equations = partial(_motion_equations, correspondences, camera)
-    T_ref_query, _ = _gauss_newton(T_ref_query, equations, *_MOTION_STEPS)
-    return T_ref_query, equations(T_ref_query)[0]
+    query, reference = correspondences.query_view, correspondences.reference_view
+    return _refined_motion(
+        T_ref_query,
+        query.points_other_m,
+        query.measured.seen,
+        query.measured.sigma,
+        reference.points_other_m,
+        reference.measured.seen,
+        reference.measured.sigma,
+        intrinsics(camera),
+    )
+
+
+@compiled
+def _refined_motion(
+    T_ref_query: FloatArray,
+    points_ref_m: FloatArray,
+    seen_by_query: FloatArray,
+    query_sigma: FloatArray,
+    points_query_m: FloatArray,
+    seen_by_ref: FloatArray,
+    ref_sigma: FloatArray,
+    camera: Intrinsics,
+) -> tuple[FloatArray, FloatArray]:
+    every = np.ones(len(points_ref_m), np.bool_)
+    is_done = False
+    for n in range(_MOTION_STEPS + 1):
+        hessian, gradient = empty_equations()
+        add_as_query(
+            T_ref_query, points_ref_m, seen_by_query, query_sigma, every, camera, hessian, gradient
+        )
+        add_as_reference(
+            T_ref_query, points_query_m, seen_by_ref, ref_sigma, camera, hessian, gradient
+        )
+        if is_done or n == _MOTION_STEPS:
+            break
+        T_ref_query, step = stepped(T_ref_query, hessian, gradient)
+        is_done = np.sqrt((step * step).sum()) < _SMALL_MOTION_STEP
+    return T_ref_query, hessian
 
 
 def residual_lengths(
@@ -137,35 +176,3 @@ def residual_lengths(
     points_m = se3.transform(se3.inverse(T_ref_query), view.points_other_m)
     residuals, _ = view.measured.residuals(points_m, camera)
     return np.where(points_m[:, 2] > 0.0, np.linalg.norm(residuals[:, :2], axis=1), np.inf)
-
-
-def _motion_equations(
-    correspondences: Correspondences, camera: Camera, T_ref_query: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    R_ref_query = T_ref_query[:3, :3]
-    query, reference = correspondences.query_view, correspondences.reference_view
-
-    # p_query = exp(-xi) T_query_ref p_ref, so d p_query = p_query x omega - v
-    points_m = se3.transform(se3.inverse(T_ref_query), query.points_other_m)
-    residuals, by_point = query.measured.residuals(points_m, camera)
-    J = _chain(by_point, se3.skew(points_m), -np.eye(3))
-    hessian, gradient = _weighted(residuals, J)
-
-    # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
-    points_m = se3.transform(T_ref_query, reference.points_other_m)
-    residuals, by_point = reference.measured.residuals(points_m, camera)
-    J = _chain(by_point, -R_ref_query @ se3.skew(reference.points_other_m), R_ref_query)
-    more_hessian, more_gradient = _weighted(residuals, J)
-    # A trace of curvature keeps the step finite where few matches leave a direction open.
-    return hessian + more_hessian + 1e-6 * np.eye(6), gradient + more_gradient
-
-
-def _chain(by_point: FloatArray, by_omega: FloatArray, by_v: FloatArray) -> FloatArray:
-    known = np.where(np.isfinite(by_omega), by_omega, 0.0)
-    return np.concatenate([by_point @ known, by_point @ by_v], axis=2)
-
-
-def _weighted(residuals: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
-    flat_J = J.reshape(-1, 6)
-    weighted_J = robust_weights(residuals).reshape(-1, 1) * flat_J
-    return weighted_J.T @ flat_J, weighted_J.T @ residuals.ravel()

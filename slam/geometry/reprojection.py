@@ -15,6 +15,7 @@ from slam.config import PYRAMID_SCALE
 from slam.types import Camera, Features, FloatArray
 
 _PIXEL_SIGMA_PX = 1.0  # on the finest pyramid level
+_COARSENESS = PYRAMID_SCALE ** np.arange(16.0)  # by pyramid level
 _BASELINE_M = 0.075  # of the Kinect
 # A feature's depth is this many times less certain than the sensor's: it is read at an edge more
 # often than not, and the two images are not of one instant. The coarser the feature, the further
@@ -22,9 +23,20 @@ _BASELINE_M = 0.075  # of the Kinect
 # a Kinect.
 _AT_EDGES = 10.0
 
-_LIMIT = 5.991**0.5  # 95 % of the pixels that are what they claim are closer: chi-square of two
-_HUBER = 1.345  # whitened length from which a pixel's pull stops growing
-_CAUCHY = 1.0  # whitened error from which a depth's pull fades: it may be that of a neighbour
+LIMIT = 5.991**0.5
+"""95 % of the pixels that are what they claim are closer, whitened: chi-square of two."""
+HUBER = 1.345
+"""Whitened length from which a pixel's pull stops growing."""
+CAUCHY = 1.0
+"""Whitened error from which a depth's pull fades: it may be that of a neighbour."""
+
+Intrinsics = tuple[float, float, float, float, float]
+
+
+def intrinsics(camera: Camera) -> Intrinsics:
+    """Return fx, fy, cx, cy and what a disparity is by 1 / depth, as compiled loops take them."""
+    return (camera.fx, camera.fy, camera.cx, camera.cy, _BASELINE_M * camera.fx)
+
 
 
 @dataclass(frozen=True)
@@ -42,8 +54,8 @@ class Observations:
     @staticmethod
     def of(features: Features, index: NDArray[np.int64], camera: Camera) -> "Observations":
         """Collect what was measured of the features with (M,) indices."""
-        disparity_px = _BASELINE_M * camera.fx / features.depth_m[index]
-        coarseness = PYRAMID_SCALE ** features.octaves[index]
+        disparity_px = _BASELINE_M * camera.fx / features.depth_m[index].astype(np.float64)
+        coarseness = _COARSENESS[features.octaves[index]]
         pixel_sigma = _PIXEL_SIGMA_PX * coarseness
         inverse_depth_sigma = _AT_EDGES * camera.depth_noise_m  # 1/m
         disparity_sigma = inverse_depth_sigma * _BASELINE_M * camera.fx * coarseness
@@ -77,57 +89,29 @@ class Observations:
         residuals[unknown], derivative[unknown] = 0.0, 0.0
         return residuals, derivative
 
-    def residuals_by_pose(
-        self, points_cam_m: FloatArray, camera: Camera
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return whitened residuals (3, M) and their (6, 3, M) derivatives by the camera's pose.
-
-        The tangent is on the right of T_world_cam. The same as `residuals` by the chain rule, but
-        written out: numpy takes its time over stacks of small matrices, and each frame asks often.
-        """
-        # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
-        x, y, z = np.ascontiguousarray(points_cam_m.T)
-        nearness = 1.0 / np.where(z == 0.0, np.inf, z)
-        x, y = x * nearness, y * nearness
-        disparity = _BASELINE_M * camera.fx * nearness
-        expected = np.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy, disparity])
-        is_known = np.isfinite(self.seen.T)
-        by_sigma = is_known / self.sigma.T
-        residuals = np.where(is_known, expected - self.seen.T, 0.0) * by_sigma
-        J = np.zeros((6, 3, len(z)))
-        xy = x * y
-        J[0, 0], J[1, 0], J[2, 0], J[3, 0], J[5, 0] = xy, -1.0 - x * x, y, -nearness, x * nearness
-        J[0, 1], J[1, 1], J[2, 1], J[4, 1], J[5, 1] = 1.0 + y * y, -xy, -x, -nearness, y * nearness
-        J[0, 2], J[1, 2], J[5, 2] = y, -x, nearness
-        by_sigma[0] *= camera.fx
-        by_sigma[1] *= camera.fy
-        by_sigma[2] *= disparity
-        J *= by_sigma
-        return residuals, J
-
     def agree(self, points_cam_m: FloatArray, camera: Camera) -> NDArray[np.bool_]:
         """Return (M,) bool: which of (M, 3) points, camera frame, were seen where they are.
 
         Depth has no say in it: where it is wrong, the pixel may still be right.
         """
         residuals, _ = self.residuals(points_cam_m, camera)
-        return np.asarray((_pixel_lengths(residuals) < _LIMIT) & (points_cam_m[:, 2] > 0.0))
+        return np.asarray((_pixel_lengths(residuals) < LIMIT) & (points_cam_m[:, 2] > 0.0))
 
 
 def robust_costs(residuals: FloatArray) -> FloatArray:
     """Return the (M,) costs of (M, 3) whitened residuals: Huber's of pixels, Cauchy's of depth."""
     lengths, weights = _pixel_lengths(residuals), robust_weights(residuals)[:, 0]
     pixel_costs = weights * lengths**2 * (1.0 - 0.5 * weights)
-    spread = 1.0 + (residuals[:, 2] / _CAUCHY) ** 2
-    return np.asarray(pixel_costs + 0.5 * _CAUCHY**2 * np.log(spread))
+    spread = 1.0 + (residuals[:, 2] / CAUCHY) ** 2
+    return np.asarray(pixel_costs + 0.5 * CAUCHY**2 * np.log(spread))
 
 
 def robust_weights(residuals: FloatArray) -> FloatArray:
     """Return the weights (M, 3), 0 to 1, that make the squares of residuals grow as their costs."""
     weights = np.empty_like(residuals)
-    pixel_weights = np.minimum(1.0, _HUBER / np.maximum(_pixel_lengths(residuals), 1e-12))
+    pixel_weights = np.minimum(1.0, HUBER / np.maximum(_pixel_lengths(residuals), 1e-12))
     weights[:, :2] = pixel_weights[:, None]
-    weights[:, 2] = 1.0 / (1.0 + (residuals[:, 2] / _CAUCHY) ** 2)
+    weights[:, 2] = 1.0 / (1.0 + (residuals[:, 2] / CAUCHY) ** 2)
     return weights
 
 

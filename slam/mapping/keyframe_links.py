@@ -7,7 +7,8 @@ import numpy as np
 
 from slam.geometry import se3
 from slam.geometry.motion_noise import link_noise, typical_depth_m
-from slam.geometry.reprojection import robust_weights
+from slam.geometry.reprojection import Observations, robust_weights
+from slam.mapping.bundle_equations import inverses
 from slam.mapping.landmark_map import LandmarkMap
 from slam.types import FloatArray, IntArray, Keyframe, Link, RelativePose
 
@@ -51,7 +52,7 @@ def motion_between(the_map: LandmarkMap, ref_id: int, query_id: int) -> Relative
     ids = the_map.landmarks.resolve(query.landmark_of[pairs[:, 1]])
     by_ref = _point_information(the_map, ref_id, pairs[:, 0], ids)
     by_query = _point_information(the_map, query_id, pairs[:, 1], ids)
-    tie = by_ref @ np.linalg.inv(by_ref + by_query + _NO_DEPTH * np.eye(3)) @ by_query
+    tie = by_ref @ inverses(by_ref + by_query + _NO_DEPTH * np.eye(3)) @ by_query
     R_map_query = query.T_map_cam[:3, :3]
     tie = R_map_query.T @ (0.5 * (tie + tie.transpose(0, 2, 1))) @ R_map_query
     T_query_map = se3.inverse(query.T_map_cam)
@@ -69,6 +70,7 @@ def _point_information(
     """Return (N, 3, 3), what a keyframe's features say of where their landmarks are, map axes."""
     keyframe = the_map.keyframes[keyframe_id]
     points_m = se3.transform(se3.inverse(keyframe.T_map_cam), the_map.landmarks.positions_m[ids])
-    residuals, by_point = keyframe.measured.select(features).residuals(points_m, the_map.camera)
+    measured = Observations.of(keyframe.features, features, the_map.camera)
+    residuals, by_point = measured.residuals(points_m, the_map.camera)
     J = np.sqrt(robust_weights(residuals))[:, :, None] * by_point @ keyframe.T_map_cam[:3, :3].T
     return np.asarray(J.transpose(0, 2, 1) @ J)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.compiled import compiled
 from slam.config import PYRAMID_SCALE
 from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.features import match_descriptors
-from slam.geometry.reprojection import Observations, project
+from slam.geometry.reprojection import Observations
 from slam.geometry.triangulation import triangulate
 from slam.mapping.landmarks import UNSEEN, Landmarks
 from slam.types import Camera, Features, FloatArray, IntArray
@@ -26,18 +27,14 @@ class MappedKeyframe:
 
     Attributes:
         features: its features.
-        measured: what was measured of all of them.
-        grid: the same, for searching.
-        landmark_of: (N,) int, the landmark that each feature shows, UNSEEN where none.
-        created_ids: ids of the landmarks that were created from its features.
+        landmark_of: (N,) int32, the landmark that each feature shows, UNSEEN where none.
+        created_ids: int32 ids of the landmarks that were created from its features.
         T_map_cam: (4, 4).
     """
 
     features: Features
-    measured: Observations
-    grid: FeatureGrid
-    landmark_of: IntArray
-    created_ids: IntArray
+    landmark_of: NDArray[np.int32]
+    created_ids: NDArray[np.int32]
     T_map_cam: FloatArray
 
 
@@ -68,41 +65,39 @@ class LandmarkMap:
         The camera is thought to be at (4, 4) T_map_cam. Landmarks with (P,) ids are looked for
         within a radius that holds on the finest pyramid level and is larger on coarser ones.
         """
-        table = self.landmarks
-        rays = table.positions_m[ids] - T_map_cam[:3, 3]
-        distances_m = np.linalg.norm(rays, axis=1)
-        cosines = np.einsum("ni,ni->n", rays, table.directions[ids]) / distances_m
-        points_cam_m = rays @ T_map_cam[:3, :3]
-        in_view = (points_cam_m[:, 2] > 0.0) & (cosines > _MIN_COSINE)
-        expected_px = np.full((len(ids), 2), -1.0)
-        expected_px[in_view] = project(points_cam_m[in_view], self.camera)[0][:, :2]
-        size_px = (self.camera.width, self.camera.height)
-        in_view &= ((expected_px >= 0.0) & (expected_px < size_px)).all(axis=1)
-        ids = ids[in_view]
-        # From twice as far a feature is seen on a level twice as fine.
-        coarser = np.log(table.distances_m[ids] / distances_m[in_view]) / np.log(PYRAMID_SCALE)
-        octaves = np.clip(table.octaves[ids] + coarser, 0.0, self._levels - 1.0)
+        table, camera = self.landmarks, self.camera
+        in_view, expected_px, octaves = _expected_places(
+            table.positions_m,
+            table.directions,
+            table.distances_m,
+            table.octaves,
+            ids,
+            T_map_cam,
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            (camera.width, camera.height),
+            self._levels,
+        )
         pairs = grid.search(
-            expected_px[in_view],
+            expected_px,
             radius_px * PYRAMID_SCALE**octaves,
             octaves,
-            table.descriptors[ids],
+            table.descriptors[in_view],
             self._max_distance,
         )
-        return np.column_stack([ids[pairs[:, 0]], pairs[:, 1]])
+        return np.column_stack([in_view[pairs[:, 0]], pairs[:, 1]])
 
-    def add_keyframe(
-        self, features: Features, grid: FeatureGrid, T_map_cam: FloatArray, pairs: IntArray
-    ) -> int:
+    def add_keyframe(self, features: Features, T_map_cam: FloatArray, pairs: IntArray) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id."""
         new_id, count = len(self.keyframes), len(features.pixels)
-        measured = Observations.of(features, np.arange(count), self.camera)
-        landmark_of, created_ids = np.full(count, UNSEEN), np.zeros(0, dtype=np.int64)
-        self.keyframes.append(
-            MappedKeyframe(features, measured, grid, landmark_of, created_ids, T_map_cam)
-        )
+        landmark_of, created_ids = np.full(count, UNSEEN, np.int32), np.zeros(0, np.int32)
+        self.keyframes.append(MappedKeyframe(features, landmark_of, created_ids, T_map_cam))
         self._observe(new_id, pairs)
         return new_id
+
+    def measured(self, keyframe_id: int) -> Observations:
+        """Return what a keyframe measured of all of its features."""
+        features = self.keyframes[keyframe_id].features
+        return Observations.of(features, np.arange(len(features.pixels)), self.camera)
 
     def add_landmarks(self, keyframe_id: int) -> IntArray:
         """Make landmarks of a keyframe's features that have depth and show none; return the ids."""
@@ -110,9 +105,10 @@ class LandmarkMap:
         has_depth = np.isfinite(keyframe.features.depth_m)
         new = np.flatnonzero((keyframe.landmark_of == UNSEEN) & has_depth)
         positions_m = se3.transform(keyframe.T_map_cam, keyframe.features.points_m[new])
-        keyframe.created_ids = self.landmarks.add(positions_m, keyframe_id)
-        self._observe(keyframe_id, np.column_stack([keyframe.created_ids, new]))
-        return keyframe.created_ids
+        ids = self.landmarks.add(positions_m, keyframe_id)
+        keyframe.created_ids = ids.astype(np.int32)
+        self._observe(keyframe_id, np.column_stack([ids, new]))
+        return ids
 
     def triangulate(self, keyframe_id: int, other_id: int) -> IntArray:
         """Make landmarks of features without depth that another keyframe shows; return the ids."""
@@ -126,13 +122,13 @@ class LandmarkMap:
         mine, others = mine[pairs[:, 0]], others[pairs[:, 1]]
         points_m, is_sound = triangulate(
             se3.inverse(keyframe.T_map_cam) @ other.T_map_cam,
-            keyframe.measured.select(mine),
-            other.measured.select(others),
+            Observations.of(keyframe.features, mine, self.camera),
+            Observations.of(other.features, others, self.camera),
             self.camera,
         )
         positions_m = se3.transform(keyframe.T_map_cam, points_m[is_sound])
         ids = self.landmarks.add(positions_m, keyframe_id)
-        keyframe.created_ids = np.concatenate([keyframe.created_ids, ids])
+        keyframe.created_ids = np.concatenate([keyframe.created_ids, ids.astype(np.int32)])
         self._observe(other_id, np.column_stack([ids, others[is_sound]]))
         self._observe(keyframe_id, np.column_stack([ids, mine[is_sound]]))
         return ids
@@ -150,10 +146,12 @@ class LandmarkMap:
         keyframe = self.keyframes[keyframe_id]
         seen = self.landmarks.resolve(keyframe.landmark_of)
         ids = ids[self.landmarks.is_alive[ids] & ~np.isin(ids, seen)]
-        pairs = self.search(keyframe.grid, keyframe.T_map_cam, ids, radius_px)
+        grid = FeatureGrid(keyframe.features, self.camera)
+        pairs = self.search(grid, keyframe.T_map_cam, ids, radius_px)
         T_cam_map = se3.inverse(keyframe.T_map_cam)
         points_cam_m = se3.transform(T_cam_map, self.landmarks.positions_m[pairs[:, 0]])
-        pairs = pairs[keyframe.measured.select(pairs[:, 1]).agree(points_cam_m, self.camera)]
+        measured = Observations.of(keyframe.features, pairs[:, 1], self.camera)
+        pairs = pairs[measured.agree(points_cam_m, self.camera)]
         there = self.landmarks.resolve(keyframe.landmark_of[pairs[:, 1]])
         is_free = there == UNSEEN
         self._observe(keyframe_id, pairs[is_free])
@@ -162,8 +160,7 @@ class LandmarkMap:
     def seen_by(self, keyframe_ids: Sequence[int]) -> IntArray:
         """Return the ids of the landmarks that any of the keyframes sees, in order."""
         seen = [self.keyframes[k].landmark_of for k in keyframe_ids]
-        ids = np.unique(self.landmarks.resolve(np.concatenate([empty_pairs()[:, 0], *seen])))
-        return np.asarray(ids[ids != UNSEEN])
+        return self.landmarks.distinct(np.concatenate([np.zeros(0, np.int32), *seen]))
 
     def covisible_keyframes(self, ids: IntArray) -> list[int]:
         """Return the keyframes that see any of the landmarks, those that see most first."""
@@ -186,7 +183,8 @@ class LandmarkMap:
         points_m = keyframe.features.points_m.copy()
         positions_m = self.landmarks.positions_m[ids[placed]]
         points_m[placed] = se3.transform(se3.inverse(keyframe.T_map_cam), positions_m)
-        return replace(keyframe.features, points_m=points_m)
+        keyframe.features = replace(keyframe.features, points_m=points_m)  # kept once
+        return keyframe.features
 
     def median_depth_m(self, T_map_cam: FloatArray, ids: IntArray) -> float:
         """Return how far from a camera at (4, 4) T_map_cam landmarks are, along its axis."""
@@ -214,6 +212,49 @@ class LandmarkMap:
             keyframe.features.descriptors[features],
             keyframe.features.octaves[features],
         )
+
+
+@compiled
+def _expected_places(
+    positions_m: FloatArray,
+    directions: FloatArray,
+    distances_m: FloatArray,
+    octaves: IntArray,
+    ids: IntArray,
+    T_map_cam: FloatArray,
+    focal_and_centre_px: tuple[float, float, float, float],
+    size_px: tuple[int, int],
+    levels: int,
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return (M,) those of (P,) landmarks that a camera at (4, 4) T_map_cam should see, and where.
+
+    That is at (M, 2) pixels, on (M,) pyramid levels, which may lie between two.
+    """
+    fx, fy, cx, cy = focal_and_centre_px
+    places, levels_there = np.empty((len(ids), 2)), np.empty(len(ids))
+    in_view, count = np.empty(len(ids), np.int64), 0
+    for k in ids:
+        ray_x = positions_m[k, 0] - T_map_cam[0, 3]
+        ray_y = positions_m[k, 1] - T_map_cam[1, 3]
+        ray_z = positions_m[k, 2] - T_map_cam[2, 3]
+        z = ray_x * T_map_cam[0, 2] + ray_y * T_map_cam[1, 2] + ray_z * T_map_cam[2, 2]
+        if z <= 0.0:
+            continue
+        distance = np.sqrt(ray_x * ray_x + ray_y * ray_y + ray_z * ray_z)
+        along = ray_x * directions[k, 0] + ray_y * directions[k, 1] + ray_z * directions[k, 2]
+        if along <= _MIN_COSINE * distance:
+            continue
+        x = ray_x * T_map_cam[0, 0] + ray_y * T_map_cam[1, 0] + ray_z * T_map_cam[2, 0]
+        y = ray_x * T_map_cam[0, 1] + ray_y * T_map_cam[1, 1] + ray_z * T_map_cam[2, 1]
+        u, v = fx * x / z + cx, fy * y / z + cy
+        if not (0.0 <= u < size_px[0] and 0.0 <= v < size_px[1]):
+            continue
+        # From twice as far a feature is seen on a level twice as fine.
+        coarser = np.log(distances_m[k] / distance) / np.log(PYRAMID_SCALE)
+        levels_there[count] = min(max(octaves[k] + coarser, 0.0), levels - 1.0)
+        places[count, 0], places[count, 1], in_view[count] = u, v, k
+        count += 1
+    return in_view[:count], places[:count], levels_there[:count]
 
 
 def empty_pairs() -> NDArray[np.int64]:

@@ -4,12 +4,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.compiled import compiled
 from slam.types import FloatArray, IntArray
 
 UNSEEN = -1
 """What stands for no landmark, and for no keyframe, among their ids."""
 _OBSERVERS = 8  # keyframes remembered per landmark; more would not change which are covisible
 _SPARE_ROWS = 1 << 15
+_FAR_APART = 64  # times as many ids as are asked for: sorting those is then less work
 
 
 class Landmarks:
@@ -19,8 +21,8 @@ class Landmarks:
         positions_m: (P, 3) float64, odometry frame.
         descriptors: (P, 32) uint8, as last seen by a keyframe.
         octaves, distances_m: (P,) pyramid level and distance at which it was last seen.
-        directions: (P, 3) unit vectors, from which it was last seen, odometry frame.
-        observers: (P, 8) ids of the keyframes that saw it last, UNSEEN where fewer did.
+        directions: (P, 3) float32 unit vectors, from which it was last seen, odometry frame.
+        observers: (P, 8) int32 ids of the keyframes that saw it last, UNSEEN where fewer did.
         first_keyframe: (P,) id of the keyframe that created it.
         sightings: (P,) how many keyframes saw it.
         is_alive: (P,) bool; culled and merged ones are not.
@@ -30,14 +32,14 @@ class Landmarks:
         self._count = 0
         self.positions_m = np.zeros((0, 3))
         self.descriptors = np.zeros((0, 32), dtype=np.uint8)
-        self.octaves = np.zeros(0, dtype=np.int64)
-        self.distances_m = np.zeros(0)
-        self.directions = np.zeros((0, 3))
-        self.observers = np.zeros((0, _OBSERVERS), dtype=np.int64)
-        self.first_keyframe = np.zeros(0, dtype=np.int64)
-        self.sightings = np.zeros(0, dtype=np.int64)
+        self.octaves = np.zeros(0, dtype=np.uint8)
+        self.distances_m = np.zeros(0, dtype=np.float32)
+        self.directions = np.zeros((0, 3), dtype=np.float32)
+        self.observers = np.zeros((0, _OBSERVERS), dtype=np.int32)
+        self.first_keyframe = np.zeros(0, dtype=np.int32)
+        self.sightings = np.zeros(0, dtype=np.int32)
         self.is_alive = np.zeros(0, dtype=bool)
-        self._merged_into = np.zeros(0, dtype=np.int64)
+        self._merged_into = np.zeros(0, dtype=np.int32)
 
     def __len__(self) -> int:
         return self._count
@@ -98,12 +100,45 @@ class Landmarks:
         self.is_alive[gone] = False
         np.add.at(self.sightings, kept, self.sightings[gone])
 
-    def resolve(self, ids: IntArray) -> IntArray:
+    def resolve(self, ids: IntArray | NDArray[np.int32]) -> IntArray:
         """Return what became of landmarks: themselves, those they were merged into, or UNSEEN."""
-        known = np.maximum(ids, 0)
-        while True:
-            after = self._merged_into[known]
-            if (after == known).all():
-                break
-            known = after
-        return np.where((ids >= 0) & self.is_alive[known], known, UNSEEN)
+        return _resolved(np.asarray(ids, np.int32), self._merged_into, self.is_alive)
+
+    def distinct(self, ids: IntArray | NDArray[np.int32]) -> IntArray:
+        """Return the same, each once, in order, and without UNSEEN."""
+        return _distinct(self.resolve(ids))
+
+
+@compiled
+def _resolved(
+    ids: NDArray[np.int32], merged_into: NDArray[np.int32], is_alive: NDArray[np.bool_]
+) -> IntArray:
+    resolved = np.full(len(ids), UNSEEN, np.int64)
+    for i in range(len(ids)):
+        known = ids[i]
+        if known < 0:
+            continue
+        while merged_into[known] != known:
+            known = merged_into[known]
+        if is_alive[known]:
+            resolved[i] = known
+    return resolved
+
+
+@compiled
+def _distinct(ids: IntArray) -> IntArray:
+    """Return the different ones that are not negative, in order."""
+    first, last = np.int64(2**62), np.int64(-1)
+    for k in ids:
+        if k >= 0:
+            first, last = min(first, k), max(last, k)
+    if last < 0:
+        return np.zeros(0, np.int64)
+    if last - first >= _FAR_APART * len(ids):
+        sorted_ids = np.unique(ids)
+        return sorted_ids[sorted_ids >= 0]
+    is_there = np.zeros(last - first + 1, np.bool_)
+    for k in ids:
+        if k >= 0:
+            is_there[k - first] = True
+    return np.flatnonzero(is_there) + first

@@ -7,7 +7,6 @@ import numpy as np
 
 from slam.config import Config
 from slam.geometry import se3
-from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import AdjustmentProblem, adjusted, extract_problem, write_back
 from slam.types import Camera, Features, FloatArray, IntArray
@@ -46,14 +45,12 @@ class LocalMap:
         self._underway: Future[AdjustmentProblem] | None = None
         self._frames_left = 0
 
-    def insert(
-        self, features: Features, grid: FeatureGrid, T_odom_cam: FloatArray, pairs: IntArray
-    ) -> int:
+    def insert(self, features: Features, T_odom_cam: FloatArray, pairs: IntArray) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id.
 
         The map has to be settled. The keyframe stays where it is put until it is settled again.
         """
-        newest = self.whole.add_keyframe(features, grid, T_odom_cam, pairs)
+        newest = self.whole.add_keyframe(features, T_odom_cam, pairs)
         covisible = self.whole.covisible_keyframes(pairs[:, 0])
         neighbours = [k for k in covisible if k != newest][: _WINDOW - 1]
         made = self.whole.add_landmarks(newest)

@@ -54,8 +54,8 @@ def extract_problem(
     chosen = np.flatnonzero(of_free & (observers[inverse] >= _MIN_OBSERVERS))
     chosen = chosen[np.lexsort((camera_of[chosen], landmark_of[chosen]))]
     landmark_ids, point_of = np.unique(landmark_of[chosen], return_inverse=True)
-    starts = np.cumsum([0, *(len(each.measured) for each in keyframes)])
-    measured = Observations.joined([each.measured for each in keyframes])
+    starts = np.cumsum([0, *(len(each.features.pixels) for each in keyframes)])
+    measured = Observations.joined([the_map.measured(k) for k in keyframe_ids])
     bundle = Bundle(
         T_world_cam=np.array([each.T_map_cam for each in keyframes]),
         is_fixed=np.arange(len(keyframes)) >= len(free) if fixed else np.arange(len(keyframes)) < 1,

@@ -262,7 +262,7 @@ class RgbdOdometry:
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
         """Make a keyframe of the view, which stays where it was placed until the map is settled."""
         model, T_map_cam = self._trails.followed, frame_pose.T_map_cam
-        new_id = self._local_map.insert(view.features, view.grid, T_map_cam, frame_pose.pairs)
+        new_id = self._local_map.insert(view.features, T_map_cam, frame_pose.pairs)
         self._near = model
         model.last_ids = self.map.seen_by([new_id])
         features = self.map.placed_features(new_id)

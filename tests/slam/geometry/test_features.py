@@ -40,9 +40,9 @@ def test_shapes_and_types_are_as_promised():
     assert features.pixels.shape == features.undistorted_px.shape == (count, 2)
     assert features.octaves.shape == features.depth_m.shape == (count,)
     assert features.descriptors.shape == (count, 32) and features.points_m.shape == (count, 3)
-    assert features.descriptors.dtype == np.uint8 and features.octaves.dtype == np.int64
+    assert features.descriptors.dtype == np.uint8 and features.octaves.dtype == np.uint8
     assert {features.pixels.dtype, features.depth_m.dtype, features.points_m.dtype} == {
-        np.dtype(np.float64)
+        np.dtype(np.float32)
     }
     assert features.octaves.min() >= 0 and features.octaves.max() < CONFIG.levels
 

@@ -27,20 +27,6 @@ def test_derivatives_are_those_of_the_projection(make_views):
         np.testing.assert_allclose(derivative[:, :, axis], change / 2e-6, rtol=1e-5, atol=1e-6)
 
 
-def test_derivatives_by_the_pose_are_those_by_the_point_as_the_pose_moves_it(make_views):
-    views = make_views(np.eye(4))
-    features = replace(views.query, depth_m=views.query.depth_m.copy())
-    features.depth_m[::3] = np.nan
-    seen = Observations.of(features, np.arange(len(features.pixels)), views.camera)
-    points_m = views.query.points_m + np.array([0.01, -0.02, 0.03])
-    residuals, by_point = seen.residuals(points_m, views.camera)
-    found, by_pose = seen.residuals_by_pose(points_m, views.camera)
-    np.testing.assert_allclose(found.T, residuals, atol=1e-9)
-    by_tangent = np.concatenate([se3.skew(points_m), np.tile(-np.eye(3), (len(points_m), 1, 1))], 2)
-    expected = np.moveaxis(by_point @ by_tangent, 0, 2)
-    np.testing.assert_allclose(by_pose.transpose(1, 0, 2), expected, rtol=1e-9, atol=1e-9)
-
-
 def test_an_unknown_depth_says_nothing_and_coarse_levels_say_less(make_views):
     views = make_views(np.eye(4), 20)
     octaves = np.arange(20) % 3

@@ -44,8 +44,8 @@ def test_poses_and_points_are_found_from_poor_guesses(make_scene, fixed):
 
 
 def test_it_ends_where_gtsam_ends(make_scene, monkeypatch):
-    monkeypatch.setattr(reprojection, "_HUBER", 1e6)
-    monkeypatch.setattr(reprojection, "_CAUCHY", 1e6)
+    monkeypatch.setattr(reprojection, "HUBER", 1e6)
+    monkeypatch.setattr(reprojection, "CAUCHY", 1e6)
     scene = make_scene(noise=0.8)
     bundle = bundle_of(scene)
     found = adjust(shaken(bundle), scene.camera, 50)

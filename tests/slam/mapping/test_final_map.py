@@ -25,7 +25,7 @@ def two_visits(scene):
     for k, (features, T) in enumerate(zip(scene.features, T_map_kf, strict=True)):
         pairs = np.column_stack([np.arange(120) + (120 if k > 3 else 0), np.arange(120)])
         pairs = empty_pairs() if k in (0, 3) else pairs
-        the_map.add_keyframe(features, FeatureGrid(features, scene.camera), T, pairs)
+        the_map.add_keyframe(features, T, pairs)
         the_map.add_landmarks(k)
     return the_map, T_map_kf
 
@@ -73,7 +73,7 @@ def test_a_segment_that_was_turned_round_is_tied_all_the_same(scene):
     for k, (features, T) in enumerate(zip(scene.features, T_map_kf, strict=True)):
         pairs = np.column_stack([np.arange(120) + (120 if k > 3 else 0), np.arange(120)])
         pairs = empty_pairs() if k in (0, 3) else pairs
-        the_map.add_keyframe(features, FeatureGrid(features, scene.camera), T, pairs)
+        the_map.add_keyframe(features, T, pairs)
         the_map.add_landmarks(k)
     closed = adjust_with_loops(the_map, range(6), scene.T_world_cam, [(2, 3)])
     assert errors_m(closed, scene).max() < 0.003

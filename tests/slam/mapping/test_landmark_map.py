@@ -17,9 +17,8 @@ def scene(make_scene):
 
 def add(the_map, scene, k, pairs=None, T_map_cam=None):
     T_map_cam = scene.T_world_cam[k] if T_map_cam is None else T_map_cam
-    grid = FeatureGrid(scene.features[k], scene.camera)
     pairs = empty_pairs() if pairs is None else pairs
-    return the_map.add_keyframe(scene.features[k], grid, T_map_cam, pairs)
+    return the_map.add_keyframe(scene.features[k], T_map_cam, pairs)
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ def insert_only(local_map, scene, k, T_odom_cam=None):
     pairs = empty_pairs()
     if k:
         pairs = local_map.whole.search(grid, T_odom_cam, local_map.nearby_ids, 8.0)
-    return local_map.insert(scene.features[k], grid, T_odom_cam, pairs)
+    return local_map.insert(scene.features[k], T_odom_cam, pairs)
 
 
 def test_a_keyframe_a_little_off_is_put_right(scene):
@@ -138,7 +138,7 @@ def test_the_first_keyframe_of_every_segment_stays_where_it_is(scene):
         if k not in (0, 3):
             pairs = local_map.whole.search(grid, scene.T_world_cam[k], local_map.nearby_ids, 8.0)
         off = se3.exp(np.array([0.002, 0.0, 0.0, 0.004, 0.0, 0.0])) if pairs.size else np.eye(4)
-        local_map.insert(scene.features[k], grid, scene.T_world_cam[k] @ off, pairs)
+        local_map.insert(scene.features[k], scene.T_world_cam[k] @ off, pairs)
         local_map.settle()
     for k in (0, 3):
         placed = local_map.whole.keyframes[k].T_map_cam

@@ -27,7 +27,7 @@ def the_map(scene):
     for k, (features, T) in enumerate(zip(scene.features, scene.T_world_cam, strict=True)):
         shaken = T @ se3.exp(rng.normal(0.0, 0.01, 6)) if k else T
         pairs = np.tile(np.arange(100), (2, 1)).T if k else empty_pairs()
-        built.add_keyframe(features, FeatureGrid(features, scene.camera), shaken, pairs)
+        built.add_keyframe(features, shaken, pairs)
         built.add_landmarks(k)
     return built
 
@@ -85,7 +85,7 @@ def test_fixed_keyframes_stay(the_map):
 
 def test_what_does_not_fit_is_seen_no_more(the_map):
     keyframe = the_map.keyframes[2]
-    keyframe.measured.seen[:7, 0] += 40.0
+    keyframe.features.undistorted_px[:7, 0] += 40.0
     write_back(the_map, adjusted(extract_problem(the_map, range(5), []), the_map.camera, ROUNDS))
     assert (keyframe.landmark_of[:7] == UNSEEN).all()
     assert (keyframe.landmark_of[7:100] != UNSEEN).mean() > 0.9

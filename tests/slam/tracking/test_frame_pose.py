@@ -22,7 +22,7 @@ def the_map(scene):
     """Return a map of the first camera's 120 points, with its origin at that camera."""
     the_map = LandmarkMap(scene.camera, 8, 64)
     grid = FeatureGrid(scene.features[0], scene.camera)
-    the_map.add_keyframe(scene.features[0], grid, scene.T_world_cam[0], empty_pairs())
+    the_map.add_keyframe(scene.features[0], scene.T_world_cam[0], empty_pairs())
     the_map.add_landmarks(0)
     return the_map
 
