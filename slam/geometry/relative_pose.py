@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """One estimator of the rigid motion between two views, for odometry and for loops alike."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import VerificationConfig
-from slam.geometry import se3
 from slam.geometry.features import match
+from slam.geometry.pnp import pose_by_ransac
 from slam.geometry.refinement import Correspondences, refine, residual_lengths
 from slam.types import (
     Camera,
@@ -57,13 +56,15 @@ def _outcome(
     if len(pairs) < needed:
         return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed), nobody
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
-    found = pose_by_ransac(points_m, pixels, camera, config)
+    found = pose_by_ransac(
+        points_m, pixels, camera, config.max_reprojection_px, config.ransac_iterations
+    )
     if found is None:
         return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers), nobody
     T_ref_query, inlier_mask = found
     correspondences = Correspondences.of(reference, query, pairs, camera)
     if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
-        # RANSAC's pose comes from four matches; a refined one knows better which others agree.
+        # RANSAC's pose comes from three matches; a refined one knows better which others agree.
         T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
         lengths = residual_lengths(T_ref_query, correspondences, camera)
         inlier_mask = lengths < config.max_reprojection_px
@@ -72,30 +73,6 @@ def _outcome(
         return rejection, inlier_mask
     refined = refine(T_ref_query, correspondences.select(inlier_mask), camera)
     return RelativePose(*refined), inlier_mask
-
-
-def pose_by_ransac(
-    points_ref_m: FloatArray, query_px: FloatArray, camera: Camera, config: VerificationConfig
-) -> tuple[FloatArray, NDArray[np.bool_]] | None:
-    """Return T_ref_query of the four matches that most agree with, and the (M,) mask of those."""
-    cv2.setRNGSeed(0)
-    found, rotation, translation, inliers = cv2.solvePnPRansac(
-        points_ref_m,
-        query_px,
-        camera.matrix,
-        None,
-        iterationsCount=config.ransac_iterations,
-        reprojectionError=config.max_reprojection_px,
-        confidence=0.9999,
-        flags=cv2.SOLVEPNP_AP3P,
-    )
-    if not found or inliers is None:
-        return None
-    inlier_mask = np.zeros(len(points_ref_m), dtype=bool)
-    inlier_mask[inliers.ravel()] = True
-    R_query_ref = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
-    t_query_ref = np.asarray(translation, dtype=np.float64).ravel()
-    return se3.inverse(se3.from_rotation_translation(R_query_ref, t_query_ref)), inlier_mask
 
 
 def _rejection(

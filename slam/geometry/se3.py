@@ -122,18 +122,24 @@ def pose_distance(T_world_a: FloatArray, T_world_b: FloatArray) -> float:
 
 def to_quaternion(rotation: FloatArray) -> FloatArray:
     """Return the (..., 4) unit quaternions x y z w, w >= 0, of (..., 3, 3) rotations."""
-    # Shepperd's method: the eigenvector of the largest eigenvalue of K is the quaternion.
+    # Shepperd's method: of x, y, z and w the largest is found by itself, the others from it.
     R = np.moveaxis(rotation, (-2, -1), (0, 1))
-    zero = np.zeros_like(R[0, 0])
-    K = np.array(
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    xy, xz, yz = R[1, 0] + R[0, 1], R[2, 0] + R[0, 2], R[2, 1] + R[1, 2]
+    by_each = np.array(
         [
-            [R[0, 0] - R[1, 1] - R[2, 2], zero, zero, zero],
-            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], zero, zero],
-            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], zero],
-            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)],
+            [1.0 + 2.0 * R[0, 0] - trace, xy, xz, x],
+            [xy, 1.0 + 2.0 * R[1, 1] - trace, yz, y],
+            [xz, yz, 1.0 + 2.0 * R[2, 2] - trace, z],
+            [x, y, z, 1.0 + trace],
         ]
     )
-    quaternion = np.asarray(np.linalg.eigh(np.moveaxis(K, (0, 1), (-2, -1)))[1][..., -1])
+    largest = np.argmax(np.stack([by_each[i, i] for i in range(4)]), axis=0)
+    quaternion = np.take_along_axis(
+        np.moveaxis(by_each, (0, 1), (-2, -1)), largest[..., None, None], axis=-2
+    )[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
     return np.where(quaternion[..., 3:] >= 0.0, quaternion, -quaternion)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from slam.config import VerificationConfig
 from slam.geometry.feature_grid import FeatureGrid
+from slam.geometry.pnp import pose_by_ransac
 from slam.geometry.refinement import refine_pose
-from slam.geometry.relative_pose import estimate_relative_pose, pose_by_ransac
+from slam.geometry.relative_pose import estimate_relative_pose
 from slam.geometry.reprojection import Observations
 from slam.mapping.landmark_map import LandmarkMap
 from slam.types import (
@@ -83,7 +84,9 @@ def agreed_pose(
         return Rejection(RejectionReason.FEW_MATCHES, len(pairs), config.min_matches)
     points_m = the_map.landmarks.positions_m[pairs[:, 0]]
     pixels = view.features.undistorted_px[pairs[:, 1]]
-    found = pose_by_ransac(points_m, pixels, the_map.camera, config)
+    found = pose_by_ransac(
+        points_m, pixels, the_map.camera, config.max_reprojection_px, config.ransac_iterations
+    )
     if found is None:
         return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers)
     T_map_cam, inlier_mask = found
