@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inner loops over points and features, compiled by numba when they are first called.
+"""Inner loops over points and features, which numba compiles when they are first called.
 
 The machine code is kept beside the source, or in the user's cache folder where that is read-only,
-and found there by every later run. Compiled loops let other threads of Python run.
+and found there by every later run. It is made anew where the file of a loop changes, but not where
+a constant that it imports does. Compiled loops let other threads of Python run.
 """
 
 import logging
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
 
@@ -17,32 +20,49 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _log = logging.getLogger(__name__)
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):
     """Machine code on disk, which a run can do without: a full disk is no reason to fail."""
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, if there is room."""
         try:
-            super().save_overload(sig, data)
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
-            _log.debug("the compiled loops could not be kept: %s", error)
+            _log.debug("compiled loops could not be kept: %s", error)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was compiled here yet."""
+        return not Path(self._cache_file._index_path).exists()
+
+
+_caches: list[_Cache | None] = []
 
 
 def compiled(function: _Function) -> _Function:
     """Compile a function of arrays and numbers; the same as plain Python, but for the time."""
     dispatcher: Any = numba.njit(nogil=True, error_model="numpy")(function)
     try:
-        dispatcher._cache = _Cache(function)
+        dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
+        _caches.append(dispatcher._cache)
     except RuntimeError as error:  # no folder to write into
+        _caches.append(None)
         _log.debug("loops are compiled by every run: %s", error)
     return dispatcher  # type: ignore[no-any-return]
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def count_bits(_context: Any, word: Any) -> tuple[Any, Any]:
-    """Return how many bits of a 64-bit word are set; in compiled loops alone."""
+def has_to_compile() -> bool:
+    """Return whether none of the loops that were imported was ever compiled here."""
+    return all(cache is None or cache.is_empty for cache in _caches)
 
+
+def _count_bits(_context: Any, _word: Any) -> tuple[Any, Any]:
     def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])
 
     return numba.types.uint64(numba.types.uint64), generate
+
+
+_intrinsic: Any = intrinsic(_count_bits)
+count_bits: Callable[[np.uint64], int] = _intrinsic
+"""Tells how many bits of a 64-bit word are set; in compiled loops alone."""

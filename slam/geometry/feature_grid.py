@@ -71,12 +71,22 @@ def _sorted_into_cells(
     for i in range(len(pixels)):
         cells[i] = _cell(pixels[i, 1], rows) * columns + _cell(pixels[i, 0], columns)
         starts[cells[i] + 1] += 1
-    starts = np.cumsum(starts)
+    for cell in range(rows * columns):
+        starts[cell + 1] += starts[cell]
     order, filled = np.empty(len(pixels), np.int64), starts.copy()
     for i in range(len(pixels)):
         order[filled[cells[i]]] = i
         filled[cells[i]] += 1
     return order, starts
+
+
+@compiled
+def _distance(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> int:
+    """Return the Hamming distance of two rows."""
+    distance = 0
+    for word in range(a.shape[1]):
+        distance += count_bits(a[i, word] ^ b[j, word])
+    return distance
 
 
 @compiled
@@ -113,9 +123,7 @@ def _search(
                     continue
                 if abs(octaves[j] - expected_octaves[i]) > _OCTAVES_APART:
                     continue
-                distance = 0
-                for word in range(words.shape[1]):
-                    distance += count_bits(words[j, word] ^ expected_words[i, word])
+                distance = _distance(words, j, expected_words, i)
                 if distance < nearest or (distance == nearest and j < feature_of[i]):
                     nearest, feature_of[i] = distance, j
                 if distance < nearest_of[j]:

@@ -51,7 +51,8 @@ def _moved(
     points_m, moved_px = np.empty((len(pixels), 3)), np.empty((len(pixels), 2))
     moved_m = np.empty(len(pixels))
     speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-    axis = velocity[:3] / max(speed, 1e-300)
+    slowest = max(speed, 1e-300)
+    axis = (velocity[0] / slowest, velocity[1] / slowest, velocity[2] / slowest)
     for i in range(len(pixels)):
         has_depth = np.isfinite(depth_m[i])
         z = depth_m[i] if has_depth else 1.0
@@ -67,11 +68,9 @@ def _moved(
             turned_z += time_s[i] * velocity[5]
         moved_px[i, 0] = fx * turned_x / turned_z + cx
         moved_px[i, 1] = fy * turned_y / turned_z + cy
-        points_m[i] = np.nan
-        moved_m[i] = np.nan
-        if has_depth:
-            points_m[i, 0], points_m[i, 1], points_m[i, 2] = turned_x, turned_y, turned_z
-            moved_m[i] = turned_z
+        unknown = 0.0 if has_depth else np.nan
+        points_m[i, 0], points_m[i, 1] = turned_x + unknown, turned_y + unknown
+        points_m[i, 2] = moved_m[i] = turned_z + unknown
     return points_m, moved_px, moved_m
 
 
@@ -139,16 +138,25 @@ def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
 
 
 @compiled
+def _measure(
+    a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], distances: NDArray[np.int64]
+) -> None:
+    """Set the (K,) Hamming distances of row i of (N, W) words to the columns of (W, K)."""
+    for j in range(len(distances)):
+        distances[j] = 0
+    for word in range(len(b)):  # the inner loop runs over all others at once
+        for j in range(len(distances)):
+            distances[j] += count_bits(a[i, word] ^ b[word, j])
+
+
+@compiled
 def _mutual_nearest(a: NDArray[np.uint64], b: NDArray[np.uint64], max_distance: int) -> IntArray:
     """Return the pairs of (N, W) and (W, K) words; of equally near ones the first is nearest."""
     words, others = b.shape
     nearest_of_b, a_of_b = np.full(others, 64 * words + 1, np.int64), np.zeros(others, np.int64)
     b_of_a, distances = np.zeros(len(a), np.int64), np.empty(others, np.int64)
     for i in range(len(a)):
-        distances[:] = 0
-        for word in range(words):  # the inner loops run over all others at once
-            for j in range(others):
-                distances[j] += count_bits(a[i, word] ^ b[word, j])
+        _measure(a, i, b, distances)
         nearest = 64 * words + 1
         for j in range(others):
             if distances[j] < nearest:
@@ -164,7 +172,10 @@ def _mutual_nearest(a: NDArray[np.uint64], b: NDArray[np.uint64], max_distance: 
     return pairs[:count]
 
 
-def undistort(pixels: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+_Array = TypeVar("_Array", NDArray[np.float32], FloatArray)
+
+
+def undistort(pixels: _Array, camera: Camera) -> _Array:
     """Return (N, 2) pixels as an ideal pinhole camera would have seen them."""
     if len(pixels) == 0 or not any(camera.distortion):
         return pixels.copy()
@@ -172,9 +183,6 @@ def undistort(pixels: NDArray[np.float32], camera: Camera) -> NDArray[np.float32
     K = camera.matrix
     undistorted = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, coefficients, P=K)
     return np.asarray(undistorted, dtype=pixels.dtype).reshape(-1, 2)
-
-
-_Array = TypeVar("_Array", NDArray[np.float32], FloatArray)
 
 
 def back_project(undistorted_px: _Array, depth_m: _Array, camera: Camera) -> _Array:
@@ -196,7 +204,8 @@ def _spread(
     if len(pixels) <= count:
         return np.arange(len(pixels))
     strongest_first = np.argsort(-strength, kind="stable")
-    rank = _rank_in_cell(pixels[strongest_first])
+    cells = (pixels[strongest_first] // _SPREAD_PX).astype(np.int64)
+    rank = _rank_in_cell(cells[:, 1] * (cells[:, 0].max() + 1) + cells[:, 0])
     return strongest_first[np.argsort(rank, kind="stable")[:count]]
 
 
@@ -204,13 +213,13 @@ _SPREAD_PX = 40
 
 
 @compiled
-def _rank_in_cell(pixels: NDArray[np.float32]) -> IntArray:
-    """Return how many pixels of the same cell come before each of (N, 2)."""
-    columns = int(pixels[:, 0].max() // _SPREAD_PX) + 1
-    taken = np.zeros(columns * (int(pixels[:, 1].max() // _SPREAD_PX) + 1), np.int64)
-    rank = np.empty(len(pixels), np.int64)
-    for i in range(len(pixels)):
-        cell = columns * int(pixels[i, 1] // _SPREAD_PX) + int(pixels[i, 0] // _SPREAD_PX)
-        rank[i] = taken[cell]
-        taken[cell] += 1
+def _rank_in_cell(cells: IntArray) -> IntArray:
+    """Return how many of (N,) small numbers that are the same come before each."""
+    last = np.int64(0)
+    for cell in cells:
+        last = max(last, cell)
+    taken, rank = np.zeros(last + 1, np.int64), np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        rank[i] = taken[cells[i]]
+        taken[cells[i]] += 1
     return rank

@@ -75,7 +75,8 @@ def add_as_query(
         y = (a * R[0, 1] + b * R[1, 1] + c * R[2, 1]) * near
         for row in range(3):
             residuals[row] = 0.0
-            J[row, :] = 0.0
+            for k in range(6):
+                J[row, k] = 0.0
         # p_cam = exp(-xi) T_cam_world p_world, so d p_cam = p_cam x omega - v
         if np.isfinite(seen[i, 0]):
             scale = fx / sigma[i, 0]
@@ -97,6 +98,34 @@ def add_as_query(
 
 
 @compiled
+def _derive_by_point(
+    x: float,
+    y: float,
+    near: float,
+    seen: FloatArray,
+    sigma: FloatArray,
+    camera: Intrinsics,
+    residuals: FloatArray,
+    by_point: FloatArray,
+) -> None:
+    """Set (3,) whitened residuals of a point at x, y, 1 times its depth, 1 / near, and (3, 3)."""
+    fx, fy, cx, cy, baseline_fx = camera
+    for row in range(3):
+        residuals[row] = 0.0
+        for k in range(3):
+            by_point[row, k] = 0.0
+    if np.isfinite(seen[0]):
+        residuals[0] = (fx * x + cx - seen[0]) / sigma[0]
+        by_point[0, 0], by_point[0, 2] = fx * near / sigma[0], -fx * x * near / sigma[0]
+    if np.isfinite(seen[1]):
+        residuals[1] = (fy * y + cy - seen[1]) / sigma[1]
+        by_point[1, 1], by_point[1, 2] = fy * near / sigma[1], -fy * y * near / sigma[1]
+    if np.isfinite(seen[2]):
+        residuals[2] = (baseline_fx * near - seen[2]) / sigma[2]
+        by_point[2, 2] = -baseline_fx * near * near / sigma[2]
+
+
+@compiled
 def add_as_reference(
     T_ref_query: FloatArray,
     points_query_m: FloatArray,
@@ -107,7 +136,6 @@ def add_as_reference(
     gradient: FloatArray,
 ) -> None:
     """Add what the reference saw of (M, 3) points that the query knows to the same equations."""
-    fx, fy, cx, cy, baseline_fx = camera
     R, t = T_ref_query[:3, :3], T_ref_query[:3, 3]
     J, residuals, by_point = np.zeros((3, 6)), np.zeros(3), np.zeros((3, 3))
     rotated = np.zeros(3)
@@ -119,22 +147,12 @@ def add_as_reference(
         near = 1.0 / z
         x = (R[0, 0] * p + R[0, 1] * q + R[0, 2] * s + t[0]) * near
         y = (R[1, 0] * p + R[1, 1] * q + R[1, 2] * s + t[1]) * near
-        by_point[:] = 0.0
-        residuals[:] = 0.0
-        if np.isfinite(seen[i, 0]):
-            residuals[0] = (fx * x + cx - seen[i, 0]) / sigma[i, 0]
-            by_point[0, 0], by_point[0, 2] = fx * near / sigma[i, 0], -fx * x * near / sigma[i, 0]
-        if np.isfinite(seen[i, 1]):
-            residuals[1] = (fy * y + cy - seen[i, 1]) / sigma[i, 1]
-            by_point[1, 1], by_point[1, 2] = fy * near / sigma[i, 1], -fy * y * near / sigma[i, 1]
-        if np.isfinite(seen[i, 2]):
-            residuals[2] = (baseline_fx * near - seen[i, 2]) / sigma[i, 2]
-            by_point[2, 2] = -baseline_fx * near * near / sigma[i, 2]
+        _derive_by_point(x, y, near, seen[i], sigma[i], camera, residuals, by_point)
         # p_ref = T_ref_query exp(xi) p_query, so d p_ref = R (omega x p_query + v)
         for row in range(3):
-            rotated[:] = 0.0
-            for j in range(3):
-                for k in range(3):
+            for k in range(3):
+                rotated[k] = 0.0
+                for j in range(3):
                     rotated[k] += by_point[row, j] * R[j, k]
             J[row, 0] = q * rotated[2] - s * rotated[1]
             J[row, 1] = s * rotated[0] - p * rotated[2]
@@ -173,25 +191,25 @@ def stepped(
     T_a_b: FloatArray, hessian: FloatArray, gradient: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return T_a_b after the Gauss-Newton step on its right, and the (6,) step."""
-    step = -_solved(hessian, gradient)
-    omega, v = step[:3], step[3:]
-    squared = (omega * omega).sum()
+    step = _solved(hessian, gradient)
+    for i in range(6):
+        step[i] = -step[i]
+    squared = step[0] * step[0] + step[1] * step[1] + step[2] * step[2]
     angle = np.sqrt(squared)
     if angle < 1e-4:  # series, for what cancels
         sine, cosine, rest = 1.0 - squared / 6.0, 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0
     else:
         sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / squared
         rest = (1.0 - sine) / squared
-    W = np.array(
-        [[0.0, -omega[2], omega[1]], [omega[2], 0.0, -omega[0]], [-omega[1], omega[0], 0.0]]
-    )
-    R, t, moved = np.eye(3), np.zeros(3), np.eye(4)
+    W, R, t, moved = np.zeros((3, 3)), np.eye(3), np.zeros(3), np.eye(4)
+    W[0, 1], W[0, 2], W[1, 2] = -step[2], step[1], -step[0]
+    W[1, 0], W[2, 0], W[2, 1] = step[2], -step[1], step[0]
     for i in range(3):
-        t[i] = v[i]
+        t[i] = step[3 + i]
         for j in range(3):
             squared_W = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
             R[i, j] += sine * W[i, j] + cosine * squared_W
-            t[i] += (cosine * W[i, j] + rest * squared_W) * v[j]
+            t[i] += (cosine * W[i, j] + rest * squared_W) * step[3 + j]
     for i in range(3):
         moved[i, 3] = T_a_b[i, 3]
         for j in range(3):

@@ -14,26 +14,31 @@ from slam.compiled import compiled
 from slam.types import Camera, FloatArray, IntArray
 
 _CONFIDENCE = 0.9999  # of having drawn three that are right
+_FEWEST_TRIALS = 30  # three that are right may say much worse than others where the camera is
 _POLISH_STEPS = 3  # Newton's, of a root of the quartic
 _REAL = 1e-6  # a root whose imaginary part is smaller is a double root, torn apart by rounding
 
 
 def pose_by_ransac(
-    points_m: FloatArray, pixels: FloatArray, camera: Camera, threshold_px: float, most_trials: int
+    points_m: NDArray[np.floating],
+    pixels: NDArray[np.floating],
+    camera: Camera,
+    threshold_px: float,
+    most_trials: int,
 ) -> tuple[FloatArray, NDArray[np.bool_]] | None:
     """Return (4, 4) T_world_cam of the three pairs that most agree with, and the mask of those.
 
     Of (M, 3) points and the (M, 2) undistorted pixels that show them, with a (M,) mask; None where
     no three of them give a pose that a fourth agrees with. What is drawn is the same every time.
     """
-    rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]])
+    rays = np.asarray((pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.float64)
     limits = (threshold_px / camera.fx, threshold_px / camera.fy)
     draws = np.random.default_rng(0).random((most_trials, 3))
-    points_m = np.ascontiguousarray(points_m, np.float64)
-    T_cam_world, count = _best_pose(points_m, np.ascontiguousarray(rays), draws, limits)
+    places_m: FloatArray = np.ascontiguousarray(points_m, np.float64)
+    T_cam_world, count = _best_pose(places_m, rays, draws, limits)
     if count <= 3:
         return None
-    mask = _agreeing(T_cam_world, points_m, np.ascontiguousarray(rays), limits)
+    mask = _agreeing(T_cam_world, places_m, rays, limits)
     T_world_cam = np.eye(4)
     T_world_cam[:3, :3] = T_cam_world[:3, :3].T
     T_world_cam[:3, 3] = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
@@ -51,9 +56,11 @@ def _best_pose(
     for trial in range(len(draws)):
         _choose(draws[trial], total, chosen)
         for solution in range(_poses_of_three(points_m, rays, chosen, poses)):
-            count = np.count_nonzero(_agreeing(poses[solution], points_m, rays, limits))
+            count = int(_agreeing(poses[solution], points_m, rays, limits).sum())
             if count > most:
                 best, most = poses[solution].copy(), count
+        if trial + 1 < _FEWEST_TRIALS:
+            continue
         wrong = 1.0 - (most / total) ** 3
         if wrong <= 0.0 or (trial + 1) * np.log(wrong) < np.log(1.0 - _CONFIDENCE):
             break
@@ -63,12 +70,12 @@ def _best_pose(
 @compiled
 def _choose(draw: FloatArray, total: int, chosen: IntArray) -> None:
     """Set three different numbers below a total, by three that are drawn from 0 to 1."""
-    for n in range(3):
-        k = int(draw[n] * (total - n))
-        for other in np.sort(chosen[:n]):
-            if k >= other:
-                k += 1
-        chosen[n] = k
+    first, second = int(draw[0] * total), int(draw[1] * (total - 1))
+    second += second >= first
+    third = int(draw[2] * (total - 2))
+    third += third >= min(first, second)
+    third += third >= max(first, second)
+    chosen[0], chosen[1], chosen[2] = first, second, third
 
 
 @compiled
@@ -94,20 +101,20 @@ def _poses_of_three(
     """Set (up to 4, 4, 4) T_cam_world that see three points on their rays; return how many."""
     p, j = np.empty((3, 3)), np.empty((3, 3))
     for n in range(3):
-        p[n] = points_m[chosen[n]]
+        for i in range(3):
+            p[n, i] = points_m[chosen[n], i]
         u, v = rays[chosen[n], 0], rays[chosen[n], 1]
         length = np.sqrt(u * u + v * v + 1.0)
         j[n, 0], j[n, 1], j[n, 2] = u / length, v / length, 1.0 / length
-    cos_a, cos_b, cos_c = _dot(j[1], j[2]), _dot(j[0], j[2]), _dot(j[0], j[1])
-    a, b, c = _squared(p[1], p[2]), _squared(p[0], p[2]), _squared(p[0], p[1])
+    cos_a, cos_b, cos_c = _cosine(j, 1, 2), _cosine(j, 0, 2), _cosine(j, 0, 1)
+    a, b = _squared_distance(p, 1, 2), _squared_distance(p, 0, 2)
+    c = _squared_distance(p, 0, 1)
     if b <= 0.0 or a <= 0.0 or c <= 0.0:
         return 0
     d, s, count = (a - c) / b, (a + c) / b, 0
     # The quartic of v = distance of the third point / distance of the first.
     k4 = (d - 1.0) ** 2 - 4.0 * c / b * cos_a**2
-    k3 = 4.0 * (
-        d * (1.0 - d) * cos_b - (1.0 - s) * cos_a * cos_c + 2.0 * c / b * cos_a**2 * cos_b
-    )
+    k3 = 4.0 * (d * (1.0 - d) * cos_b - (1.0 - s) * cos_a * cos_c + 2.0 * c / b * cos_a**2 * cos_b)
     k2 = 2.0 * (
         d * d
         - 1.0
@@ -131,20 +138,28 @@ def _poses_of_three(
         if u <= 0.0:
             continue
         first = np.sqrt(b / around)
-        found[0], found[1], found[2] = first * j[0], u * first * j[1], v * first * j[2]
+        for i in range(3):
+            found[0, i], found[1, i] = first * j[0, i], u * first * j[1, i]
+            found[2, i] = v * first * j[2, i]
         if _aligned(p, found, poses[count]):
             count += 1
     return count
 
 
 @compiled
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
+def _cosine(rays: FloatArray, a: int, b: int) -> float:
+    cosine = 0.0
+    for i in range(3):
+        cosine += rays[a, i] * rays[b, i]
+    return cosine
 
 
 @compiled
-def _squared(a: FloatArray, b: FloatArray) -> float:
-    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2  # type: ignore[no-any-return]
+def _squared_distance(points: FloatArray, a: int, b: int) -> float:
+    squared = 0.0
+    for i in range(3):
+        squared += (points[a, i] - points[b, i]) ** 2
+    return squared
 
 
 @compiled
@@ -195,23 +210,18 @@ def _real_roots(b: float, c: float, d: float, e: float, roots: FloatArray) -> in
 @compiled
 def _axes(p: FloatArray, axes: FloatArray) -> bool:
     """Set (3, 3) columns: axes of the plane of three points; return whether they span one."""
-    first, second = p[1] - p[0], p[2] - p[0]
-    length = np.sqrt(_dot(first, first))
-    normal = np.array(
-        [
-            first[1] * second[2] - first[2] * second[1],
-            first[2] * second[0] - first[0] * second[2],
-            first[0] * second[1] - first[1] * second[0],
-        ]
-    )
-    area = np.sqrt(_dot(normal, normal))
+    ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = np.sqrt(ax * ax + ay * ay + az * az)
+    area = np.sqrt(nx * nx + ny * ny + nz * nz)
     if not area > 1e-9 * length * length:
         return False
-    first, normal = first / length, normal / area
-    axes[:, 0], axes[:, 2] = first, normal
-    axes[0, 1] = normal[1] * first[2] - normal[2] * first[1]
-    axes[1, 1] = normal[2] * first[0] - normal[0] * first[2]
-    axes[2, 1] = normal[0] * first[1] - normal[1] * first[0]
+    axes[0, 0], axes[1, 0], axes[2, 0] = ax / length, ay / length, az / length
+    axes[0, 2], axes[1, 2], axes[2, 2] = nx / area, ny / area, nz / area
+    axes[0, 1] = axes[1, 2] * axes[2, 0] - axes[2, 2] * axes[1, 0]
+    axes[1, 1] = axes[2, 2] * axes[0, 0] - axes[0, 2] * axes[2, 0]
+    axes[2, 1] = axes[0, 2] * axes[1, 0] - axes[1, 2] * axes[0, 0]
     return True
 
 
@@ -221,12 +231,12 @@ def _aligned(p_world: FloatArray, p_cam: FloatArray, T_cam_world: FloatArray) ->
     world, cam = np.empty((3, 3)), np.empty((3, 3))
     if not (_axes(p_world, world) and _axes(p_cam, cam)):
         return False
-    T_cam_world[3, :3], T_cam_world[3, 3] = 0.0, 1.0
+    T_cam_world[3, 3] = 1.0
     for i in range(3):
+        T_cam_world[3, i], T_cam_world[i, 3] = 0.0, p_cam[0, i]
         for k in range(3):
             T_cam_world[i, k] = (
                 cam[i, 0] * world[k, 0] + cam[i, 1] * world[k, 1] + cam[i, 2] * world[k, 2]
             )
-    for i in range(3):
-        T_cam_world[i, 3] = p_cam[0, i] - _dot(T_cam_world[i, :3], p_world[0])
+            T_cam_world[i, 3] -= T_cam_world[i, k] * p_world[0, k]
     return True

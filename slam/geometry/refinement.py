@@ -47,15 +47,18 @@ def refine_pose(
     points_m: FloatArray,
     measured: Observations,
     camera: Camera,
+    inlier_mask: NDArray[np.bool_] | None = None,
     rounds: int = 2,
 ) -> RefinedPose:
     """Return the pose from which (M, 3) world points look most as they were measured.
 
-    A point counts in one of the rounds if it agreed after the one before; in the first all do.
+    A point counts in one of the rounds if it agreed after the one before; in the first the (M,)
+    mask tells, or all do.
     """
+    first = np.ones(len(points_m), bool) if inlier_mask is None else inlier_mask.copy()
     points_m = np.ascontiguousarray(points_m)
     found = _refined_pose(
-        T_world_cam, points_m, measured.seen, measured.sigma, intrinsics(camera), rounds
+        T_world_cam, points_m, measured.seen, measured.sigma, intrinsics(camera), first, rounds
     )
     return RefinedPose(*found)
 
@@ -67,16 +70,19 @@ def _refined_pose(
     seen: FloatArray,
     sigma: FloatArray,
     camera: Intrinsics,
+    inlier_mask: NDArray[np.bool_],
     rounds: int,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    inlier_mask = np.ones(len(points_m), np.bool_)
     hessian, gradient = empty_equations()
     for _ in range(rounds):
         for _ in range(_POSE_STEPS):
             hessian, gradient = empty_equations()
             add_as_query(T_world_cam, points_m, seen, sigma, inlier_mask, camera, hessian, gradient)
             T_world_cam, step = stepped(T_world_cam, hessian, gradient)
-            if np.abs(step).max() < _SMALL_POSE_STEP:
+            largest = 0.0
+            for i in range(6):
+                largest = max(largest, abs(step[i]))
+            if largest < _SMALL_POSE_STEP:
                 break
         agreement(T_world_cam, points_m, seen, sigma, camera, inlier_mask)
     return T_world_cam, hessian, inlier_mask
@@ -164,7 +170,10 @@ def _refined_motion(
         if is_done or n == _MOTION_STEPS:
             break
         T_ref_query, step = stepped(T_ref_query, hessian, gradient)
-        is_done = np.sqrt((step * step).sum()) < _SMALL_MOTION_STEP
+        squared = 0.0
+        for i in range(6):
+            squared += step[i] * step[i]
+        is_done = squared < _SMALL_MOTION_STEP**2
     return T_ref_query, hessian
 
 

@@ -11,7 +11,6 @@ from slam.geometry.refinement import Correspondences, refine, residual_lengths
 from slam.types import (
     Camera,
     Features,
-    FloatArray,
     Rejection,
     RejectionReason,
     RelativePose,
@@ -40,7 +39,8 @@ def estimate_relative_pose(
     pairs = pairs[has_depth if is_enough else is_placed]
     outcome, inlier_mask = _outcome(reference, query, pairs, camera, config)
     pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
-    return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]])
+    points_m = reference.points_m[pairs[:, 0]].astype(np.float64)
+    return Verification(outcome, pixels.astype(np.float64), inlier_mask, points_m)
 
 
 def _outcome(
@@ -76,7 +76,10 @@ def _outcome(
 
 
 def _rejection(
-    pixels: FloatArray, inlier_mask: NDArray[np.bool_], camera: Camera, config: VerificationConfig
+    pixels: NDArray[np.float32],
+    inlier_mask: NDArray[np.bool_],
+    camera: Camera,
+    config: VerificationConfig,
 ) -> Rejection | None:
     inliers = int(np.count_nonzero(inlier_mask))
     needed = max(config.min_inliers, _MIN_FOR_POSE)

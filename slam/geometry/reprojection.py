@@ -38,7 +38,6 @@ def intrinsics(camera: Camera) -> Intrinsics:
     return (camera.fx, camera.fy, camera.cx, camera.cy, _BASELINE_M * camera.fx)
 
 
-
 @dataclass(frozen=True)
 class Observations:
     """M points as one or several cameras saw them.

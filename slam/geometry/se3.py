@@ -140,7 +140,7 @@ def to_quaternion(rotation: FloatArray) -> FloatArray:
         np.moveaxis(by_each, (0, 1), (-2, -1)), largest[..., None, None], axis=-2
     )[..., 0, :]
     quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    return np.where(quaternion[..., 3:] >= 0.0, quaternion, -quaternion)
+    return np.asarray(np.where(quaternion[..., 3:] >= 0.0, quaternion, -quaternion))
 
 
 def from_quaternion(quaternion_xyzw: FloatArray) -> FloatArray:

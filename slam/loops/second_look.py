@@ -110,7 +110,8 @@ def agreements(
         query.descriptors[strong], candidate.descriptors[placed], _MAX_DISTANCE
     )
     ours, theirs = strong[pairs[:, 0]], placed[pairs[:, 1]]
-    difference_m = np.abs(_distances(query.points_m[ours]) - _distances(candidate.points_m[theirs]))
+    our_points_m, their_points_m = query.points_m[ours], candidate.points_m[theirs]
+    difference_m = np.abs(_distances(our_points_m) - _distances(their_points_m))
     variance = _variance(query, ours, camera) + _variance(candidate, theirs, camera)
     allowed_m = _SLACK_M + _STANDARD_DEVIATIONS * np.sqrt(variance[:, None] + variance)
     return np.column_stack([ours, theirs]), difference_m < allowed_m
@@ -124,10 +125,11 @@ def _count_rigid(
     return int(np.count_nonzero(agreeing > np.arange(len(agreeing))))
 
 
-def _distances(points_m: FloatArray) -> FloatArray:
+def _distances(points_m: NDArray[np.float32]) -> FloatArray:
     """Return the (N, N) distances between (N, 3) points."""
-    squares = np.einsum("ni,ni->n", points_m, points_m)
-    squared = squares[:, None] + squares - 2.0 * points_m @ points_m.T
+    points = points_m.astype(np.float64)  # squares cancel
+    squares = np.einsum("ni,ni->n", points, points)
+    squared = squares[:, None] + squares - 2.0 * points @ points.T
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 

@@ -161,8 +161,8 @@ def _motion_errors(bundle: Bundle) -> FloatArray:
 
 
 def _linearise(bundle: Bundle, camera: Camera) -> _System:
-    H_cam, g_cam, *of_points = linearised(*_observed(bundle), intrinsics(camera), _widths())
-    return _System(H_cam, g_cam, *of_points, _add_motions(bundle, H_cam, g_cam))
+    equations = linearised(*_observed(bundle), intrinsics(camera), _widths())
+    return _System(*equations, _add_motions(bundle, *equations[:2]))
 
 
 def _add_motions(bundle: Bundle, H_cam: FloatArray, g_cam: FloatArray) -> FloatArray:

@@ -103,6 +103,25 @@ def agreement(
 
 
 @compiled
+def _derive(row: int, p: FloatArray, camera: Intrinsics, scale: float, A: FloatArray) -> None:
+    """Set the (3,) derivative of u, v or disparity by the point p in the camera's frame, scaled."""
+    fx, fy, _, _, baseline_fx = camera
+    near = 1.0 / p[2]
+    A[0] = fx * near * scale if row == 0 else 0.0
+    A[1] = fy * near * scale if row == 1 else 0.0
+    along = fx * p[0] if row == 0 else fy * p[1] if row == 1 else baseline_fx
+    A[2] = -along * near * near * scale
+
+
+@compiled
+def _add(a: FloatArray, b: FloatArray, to: FloatArray) -> None:
+    """Add the outer product of two vectors."""
+    for i in range(len(a)):
+        for j in range(len(b)):
+            to[i, j] += a[i] * b[j]
+
+
+@compiled
 def linearised(
     T_world_cam: FloatArray,
     points_m: FloatArray,
@@ -118,7 +137,6 @@ def linearised(
     The Hessians (K, 6, 6) of cameras and (P, 3, 3) of points, their gradients (K, 6) and (P, 3),
     and (O, 3, 6), point by camera. Tangents are on the right of T_world_cam.
     """
-    fx, fy, _, _, baseline_fx = camera
     huber, cauchy = widths
     cameras, points = len(T_world_cam), len(points_m)
     H_cam, g_cam = np.zeros((cameras, 6, 6)), np.zeros((cameras, 6))
@@ -129,23 +147,16 @@ def linearised(
         k, n = camera_of[o], point_of[o]
         T = T_world_cam[k]
         _residuals(T, points_m[n], seen[o], sigma[o], camera, p, r)
-        near = 1.0 / p[2]
         pixel_root = np.sqrt(min(1.0, huber / max(np.sqrt(r[0] ** 2 + r[1] ** 2), 1e-12)))
         depth_root = np.sqrt(1.0 / (1.0 + (r[2] / cauchy) ** 2))
-        W[o] = 0.0
+        for i in range(3):
+            for j in range(6):
+                W[o, i, j] = 0.0
         for row in range(3):
-            # The derivative of what is measured by the point in the camera's frame.
-            A[:] = 0.0
-            if not (np.isfinite(seen[o, row]) and np.isfinite(near)):
+            if not (np.isfinite(seen[o, row]) and p[2] != 0.0):
                 continue
             root = depth_root if row == 2 else pixel_root
-            scale = root / sigma[o, row]
-            if row == 0:
-                A[0], A[2] = fx * near * scale, -fx * p[0] * near * near * scale
-            elif row == 1:
-                A[1], A[2] = fy * near * scale, -fy * p[1] * near * near * scale
-            else:
-                A[2] = -baseline_fx * near * near * scale
+            _derive(row, p, camera, root / sigma[o, row], A)
             # p_cam = exp(-xi) T_cam_world p_world: d p_cam = p_cam x omega - v + R d p_world
             J_cam[0] = A[1] * p[2] - A[2] * p[1]
             J_cam[1] = A[2] * p[0] - A[0] * p[2]
@@ -153,17 +164,13 @@ def linearised(
             for i in range(3):
                 J_cam[3 + i] = -A[i]
                 J_point[i] = T[i, 0] * A[0] + T[i, 1] * A[1] + T[i, 2] * A[2]
-            error = root * r[row]
+            _add(J_cam, J_cam, H_cam[k])
+            _add(J_point, J_point, H_point[n])
+            _add(J_point, J_cam, W[o])
             for i in range(6):
-                g_cam[k, i] += J_cam[i] * error
-                for j in range(6):
-                    H_cam[k, i, j] += J_cam[i] * J_cam[j]
+                g_cam[k, i] += J_cam[i] * root * r[row]
             for i in range(3):
-                g_point[n, i] += J_point[i] * error
-                for j in range(3):
-                    H_point[n, i, j] += J_point[i] * J_point[j]
-                for j in range(6):
-                    W[o, i, j] += J_point[i] * J_cam[j]
+                g_point[n, i] += J_point[i] * root * r[row]
     return H_cam, g_cam, H_point, g_point, W
 
 
@@ -219,12 +226,15 @@ def solution(S: FloatArray, g: FloatArray) -> FloatArray:
     x = g.copy()
     for k in range(len(S)):
         root = np.sqrt(S[k, k])
-        S[k, k:] /= root
+        for j in range(k, len(S)):
+            S[k, j] /= root
         x[k] /= root
         for i in range(k + 1, len(S)):
-            x[i] -= S[k, i] * x[k]
-            if S[k, i] != 0.0:
-                S[i, i:] -= S[k, i] * S[k, i:]
+            factor = S[k, i]
+            x[i] -= factor * x[k]
+            if factor != 0.0:
+                for j in range(i, len(S)):
+                    S[i, j] -= factor * S[k, j]
     for k in range(len(S) - 1, -1, -1):
         for i in range(k + 1, len(S)):
             x[k] -= S[k, i] * x[i]

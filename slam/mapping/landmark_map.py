@@ -104,7 +104,8 @@ class LandmarkMap:
         keyframe = self.keyframes[keyframe_id]
         has_depth = np.isfinite(keyframe.features.depth_m)
         new = np.flatnonzero((keyframe.landmark_of == UNSEEN) & has_depth)
-        positions_m = se3.transform(keyframe.T_map_cam, keyframe.features.points_m[new])
+        points_m = keyframe.features.points_m[new].astype(np.float64)
+        positions_m = se3.transform(keyframe.T_map_cam, points_m)
         ids = self.landmarks.add(positions_m, keyframe_id)
         keyframe.created_ids = ids.astype(np.int32)
         self._observe(keyframe_id, np.column_stack([ids, new]))
@@ -217,9 +218,9 @@ class LandmarkMap:
 @compiled
 def _expected_places(
     positions_m: FloatArray,
-    directions: FloatArray,
-    distances_m: FloatArray,
-    octaves: IntArray,
+    directions: NDArray[np.float32],
+    distances_m: NDArray[np.float32],
+    octaves: NDArray[np.uint8],
     ids: IntArray,
     T_map_cam: FloatArray,
     focal_and_centre_px: tuple[float, float, float, float],

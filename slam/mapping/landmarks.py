@@ -106,7 +106,16 @@ class Landmarks:
 
     def distinct(self, ids: IntArray | NDArray[np.int32]) -> IntArray:
         """Return the same, each once, in order, and without UNSEEN."""
-        return _distinct(self.resolve(ids))
+        resolved = self.resolve(ids)
+        known = resolved[resolved >= 0]
+        if not len(known):
+            return known
+        first, last = known.min(), known.max()
+        if last - first >= _FAR_APART * len(known):
+            return np.unique(known)
+        is_there = np.zeros(last - first + 1, np.bool_)
+        is_there[known - first] = True
+        return np.asarray(np.flatnonzero(is_there) + first)
 
 
 @compiled
@@ -123,22 +132,3 @@ def _resolved(
         if is_alive[known]:
             resolved[i] = known
     return resolved
-
-
-@compiled
-def _distinct(ids: IntArray) -> IntArray:
-    """Return the different ones that are not negative, in order."""
-    first, last = np.int64(2**62), np.int64(-1)
-    for k in ids:
-        if k >= 0:
-            first, last = min(first, k), max(last, k)
-    if last < 0:
-        return np.zeros(0, np.int64)
-    if last - first >= _FAR_APART * len(ids):
-        sorted_ids = np.unique(ids)
-        return sorted_ids[sorted_ids >= 0]
-    is_there = np.zeros(last - first + 1, np.bool_)
-    for k in ids:
-        if k >= 0:
-            is_there[k - first] = True
-    return np.flatnonzero(is_there) + first

@@ -71,14 +71,14 @@ def frame_of(line: Line, image: Frame) -> TrackedFrame:
     if "keyframe" not in line:
         return TrackedFrame(keyframe_id, T_kf_cam, T_odom_cam, segment, covered=covered)
     timestamp_s, T = line["keyframe"]
-    none = np.zeros((0, 2))
+    none = np.zeros((0, 2), np.float32)
     features = Features(
         none,
         none,
-        np.zeros(0, np.int64),
+        np.zeros(0, np.uint8),
         np.zeros((0, 32), np.uint8),
-        np.zeros(0),
-        np.zeros((0, 3)),
+        np.zeros(0, np.float32),
+        np.zeros((0, 3), np.float32),
     )
     keyframe = Keyframe(
         keyframe_id,

@@ -42,6 +42,11 @@ class View:
         """The features, ready to be searched."""
         return FeatureGrid(self.features, self.camera)
 
+    @cached_property
+    def measured(self) -> Observations:
+        """What was measured of all of the features."""
+        return Observations.of(self.features, np.arange(len(self.features.pixels)), self.camera)
+
     def covered(self, features: IntArray) -> float:
         """Return in which share of the image some features are, (N,) of all: 1 where all are.
 
@@ -93,9 +98,8 @@ def agreed_pose(
     inliers = int(np.count_nonzero(inlier_mask))
     if inliers < config.min_inliers:
         return Rejection(RejectionReason.FEW_INLIERS, inliers, config.min_inliers)
-    measured = Observations.of(view.features, pairs[inlier_mask, 1], the_map.camera)
-    points_m = points_m[inlier_mask]
-    return refine_pose(T_map_cam, points_m, measured, the_map.camera, rounds=1).T_world_cam
+    measured = view.measured.select(pairs[:, 1])
+    return refine_pose(T_map_cam, points_m, measured, the_map.camera, inlier_mask).T_world_cam
 
 
 def track_local_map(
@@ -118,7 +122,7 @@ def refined_pose(
     config: VerificationConfig,
 ) -> FramePose | Rejection:
     """Return the pose near a (4, 4) guess that (M, 2) pairs (landmark id, feature) agree on."""
-    measured = Observations.of(view.features, pairs[:, 1], the_map.camera)
+    measured = view.measured.select(pairs[:, 1])
     points_m = the_map.landmarks.positions_m[pairs[:, 0]]
     refined = refine_pose(T_map_cam, points_m, measured, the_map.camera)
     inliers = int(np.count_nonzero(refined.inlier_mask))

@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from slam.geometry import se3
-from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
 from slam.mapping.map_adjustment import adjust_with_loops
 

@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from slam.config import VerificationConfig
-from slam.geometry.feature_grid import FeatureGrid
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
 from slam.tracking.frame_pose import View, agreed_pose, track_local_map
 from slam.types import Frame, Rejection, RejectionReason
@@ -21,7 +20,6 @@ def scene(make_scene):
 def the_map(scene):
     """Return a map of the first camera's 120 points, with its origin at that camera."""
     the_map = LandmarkMap(scene.camera, 8, 64)
-    grid = FeatureGrid(scene.features[0], scene.camera)
     the_map.add_keyframe(scene.features[0], scene.T_world_cam[0], empty_pairs())
     the_map.add_landmarks(0)
     return the_map

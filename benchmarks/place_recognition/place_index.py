@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long the place index takes as it grows: prints a Markdown table, a column per size.
 
-    python benchmarks/place_index.py [--places 1000 10000 100000] [--values 1000] [--queries 100]
+    python -m benchmarks.place_recognition.place_index [--places 1000 10000 100000]
+        [--values 1000] [--queries 100]
 
 Embeddings are random unit vectors, so that next to nothing can be ruled out early. Half of the
 queries are places of the map, seen again with a little noise; half resemble none. Every place is
@@ -22,8 +23,8 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from sequences import machine
 
+from benchmarks.sequences import machine
 from placerec.checked_recognizer import COSINES
 from placerec.index import PlaceIndex
 from slam.result import compared
