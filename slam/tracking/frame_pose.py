@@ -53,8 +53,8 @@ class View:
         The image counts by cells, an eighth of it wide, in which there are any.
         """
         cells = np.floor(self.features.undistorted_px * (_CELLS / self.camera.width))
-        numbers = cells[:, 0] + 1e3 * cells[:, 1]
-        return len(np.unique(numbers[features])) / max(1, len(np.unique(numbers)))
+        numbers = (cells[:, 0] + 1e3 * cells[:, 1]).astype(np.int64)
+        return len(set(numbers[features].tolist())) / max(1, len(set(numbers.tolist())))
 
     @property
     def with_depth(self) -> int:

@@ -14,7 +14,6 @@ from slam.geometry.features import FeatureExtractor, straightened
 from slam.geometry.smear import SmearFinder
 from slam.mapping.keyframe_links import covisible_links
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
-from slam.mapping.landmarks import UNSEEN
 from slam.mapping.local_map import LocalMap
 from slam.tracking.frame_pose import (
     FramePose,
@@ -175,8 +174,7 @@ class RgbdOdometry:
     def _follow(self, view: View, expected: Sequence[FloatArray]) -> FramePose | Rejection:
         """Look for what the last frame saw where it should be by now, then for all around it."""
         model, config = self._trails.followed, self._trails.following_config
-        last_ids = self.map.landmarks.resolve(model.last_ids)
-        last_ids = np.unique(last_ids[last_ids != UNSEEN])
+        last_ids = self.map.landmarks.distinct(model.last_ids)
         best: FramePose | None = None
         for radius_px, T_predicted in product(_PREDICTED_RADII_PX, expected):
             pairs = self.map.search(view.grid, T_predicted, last_ids, radius_px)
