@@ -143,7 +143,7 @@ def _work(typed: list[str]) -> int:
 
 def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
-    from slam.compiled import has_to_compile
+    from slam.compiled import load_compiled
     from slam.datasets import Sessions
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
@@ -160,9 +160,9 @@ def _run(arguments: Arguments) -> None:
         # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
         gc.collect()
         gc.freeze()
-        slam = Slam(sessions.camera, recognizer, settings)
-        if has_to_compile():
+        if not load_compiled():
             note("compiling the inner loops for this machine, which the first run waits for")
+        slam = Slam(sessions.camera, recognizer, settings)
         header = Header(
             arguments.title,
             shlex.join(arguments.command),

@@ -8,7 +8,6 @@ a constant that it imports does. Compiled loops let other threads of Python run.
 
 import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -30,13 +29,12 @@ class _Cache(FunctionCache):
         except OSError as error:
             _log.debug("compiled loops could not be kept: %s", error)
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing was compiled here yet."""
-        return not Path(self._cache_file._index_path).exists()
+    def signatures(self) -> list[Any]:
+        """Return for which types of arguments the function was compiled here."""
+        return [key[0] for key in self._cache_file._load_index()]
 
 
-_caches: list[_Cache | None] = []
+_loops: list[Any] = []  # that were imported so far
 
 
 def compiled(function: _Function) -> _Function:
@@ -44,16 +42,18 @@ def compiled(function: _Function) -> _Function:
     dispatcher: Any = numba.njit(nogil=True, error_model="numpy")(function)
     try:
         dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
-        _caches.append(dispatcher._cache)
+        _loops.append(dispatcher)
     except RuntimeError as error:  # no folder to write into
-        _caches.append(None)
         _log.debug("loops are compiled by every run: %s", error)
     return dispatcher  # type: ignore[no-any-return]
 
 
-def has_to_compile() -> bool:
-    """Return whether none of the loops that were imported was ever compiled here."""
-    return all(cache is None or cache.is_empty for cache in _caches)
+def load_compiled() -> bool:
+    """Load what earlier runs compiled, for which a frame would wait; return if there is any."""
+    found = [(loop, signature) for loop in _loops for signature in loop._cache.signatures()]
+    for loop, signature in found:
+        loop.compile(signature)
+    return bool(found)
 
 
 def _count_bits(_context: Any, _word: Any) -> tuple[Any, Any]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.errors import Salvage, cause_of
 from placerec.recognizer import PlaceRecognizer
+from slam.compiled import load_compiled
 from slam.config import Config
 from slam.evaluation.steps import impossible_steps
 from slam.external_odometry.comparison import GivenKeyframe
@@ -50,6 +51,7 @@ class Slam:
     def __init__(
         self, camera: Camera, recognizer: PlaceRecognizer, config: Config | None = None
     ) -> None:
+        load_compiled()
         self._camera = camera
         self._config = config or Config()
         self.clock = StageClock()
