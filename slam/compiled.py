@@ -48,6 +48,11 @@ def compiled(function: _Function) -> _Function:
     return dispatcher  # type: ignore[no-any-return]
 
 
+def inlined(function: _Function) -> _Function:
+    """Compile a function that compiled ones call, as a part of each of them."""
+    return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
 def load_compiled() -> bool:
     """Load what earlier runs compiled, for which a frame would wait; return if there is any."""
     found = [(loop, signature) for loop in _loops for signature in loop._cache.signatures()]

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled, count_bits
+from slam.compiled import compiled, count_bits, inlined
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _CELL_PX = 20.0
@@ -56,7 +56,7 @@ def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
     return np.ascontiguousarray(descriptors).view(np.uint64)
 
 
-@compiled
+@inlined
 def _cell(pixel: float, cells: int) -> int:
     return min(max(int(np.floor(pixel / _CELL_PX)), 0), cells - 1)
 
@@ -80,7 +80,7 @@ def _sorted_into_cells(
     return order, starts
 
 
-@compiled
+@inlined
 def _distance(a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], j: int) -> int:
     """Return the Hamming distance of two rows."""
     distance = 0

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled, count_bits
+from slam.compiled import compiled, count_bits, inlined
 from slam.config import PYRAMID_SCALE, FeaturesConfig
 from slam.types import Camera, Features, FloatArray, Frame, IntArray
 
@@ -137,7 +137,7 @@ def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
     return np.ascontiguousarray(descriptors).view(np.uint64)
 
 
-@compiled
+@inlined
 def _measure(
     a: NDArray[np.uint64], i: int, b: NDArray[np.uint64], distances: NDArray[np.int64]
 ) -> None:

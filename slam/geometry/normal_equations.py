@@ -7,7 +7,7 @@ Points and tangents as in `refinement`. A measurement that is unknown, NaN, says
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled
+from slam.compiled import inlined
 from slam.geometry.reprojection import CAUCHY, HUBER, LIMIT, Intrinsics
 from slam.types import FloatArray
 
@@ -15,13 +15,13 @@ from slam.types import FloatArray
 _TRACE = 1e-6
 
 
-@compiled
+@inlined
 def empty_equations() -> tuple[FloatArray, FloatArray]:
     """Return the (6, 6) Hessian and the (6,) gradient of nothing."""
     return _TRACE * np.eye(6), np.zeros(6)
 
 
-@compiled
+@inlined
 def _add_rows(
     J: FloatArray, residuals: FloatArray, hessian: FloatArray, gradient: FloatArray
 ) -> None:
@@ -38,14 +38,14 @@ def _add_rows(
                 hessian[a, b] += weighted * J[row, b]
 
 
-@compiled
+@inlined
 def _mirror(hessian: FloatArray) -> None:
     for a in range(6):
         for b in range(a):
             hessian[b, a] = hessian[a, b]
 
 
-@compiled
+@inlined
 def add_as_query(
     T_world_cam: FloatArray,
     points_m: FloatArray,
@@ -97,7 +97,7 @@ def add_as_query(
     _mirror(hessian)
 
 
-@compiled
+@inlined
 def _derive_by_point(
     x: float,
     y: float,
@@ -125,7 +125,7 @@ def _derive_by_point(
         by_point[2, 2] = -baseline_fx * near * near / sigma[2]
 
 
-@compiled
+@inlined
 def add_as_reference(
     T_ref_query: FloatArray,
     points_query_m: FloatArray,
@@ -162,7 +162,7 @@ def add_as_reference(
     _mirror(hessian)
 
 
-@compiled
+@inlined
 def agreement(
     T_world_cam: FloatArray,
     points_m: FloatArray,
@@ -186,7 +186,7 @@ def agreement(
         mask[i] = off_u * off_u + off_v * off_v < LIMIT * LIMIT
 
 
-@compiled
+@inlined
 def stepped(
     T_a_b: FloatArray, hessian: FloatArray, gradient: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -218,7 +218,7 @@ def stepped(
     return moved, step
 
 
-@compiled
+@inlined
 def _solved(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
     """Return the (6,) solution of the positive definite equations, by Cholesky."""
     L, solution = np.zeros((6, 6)), np.zeros(6)

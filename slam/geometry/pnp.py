@@ -10,7 +10,7 @@ import cmath
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled
+from slam.compiled import compiled, inlined
 from slam.types import Camera, FloatArray, IntArray
 
 _CONFIDENCE = 0.9999  # of having drawn three that are right
@@ -67,7 +67,7 @@ def _best_pose(
     return best, most
 
 
-@compiled
+@inlined
 def _choose(draw: FloatArray, total: int, chosen: IntArray) -> None:
     """Set three different numbers below a total, by three that are drawn from 0 to 1."""
     first, second = int(draw[0] * total), int(draw[1] * (total - 1))
@@ -94,7 +94,7 @@ def _agreeing(
     return agrees
 
 
-@compiled
+@inlined
 def _poses_of_three(
     points_m: FloatArray, rays: FloatArray, chosen: IntArray, poses: FloatArray
 ) -> int:
@@ -146,7 +146,7 @@ def _poses_of_three(
     return count
 
 
-@compiled
+@inlined
 def _cosine(rays: FloatArray, a: int, b: int) -> float:
     cosine = 0.0
     for i in range(3):
@@ -154,7 +154,7 @@ def _cosine(rays: FloatArray, a: int, b: int) -> float:
     return cosine
 
 
-@compiled
+@inlined
 def _squared_distance(points: FloatArray, a: int, b: int) -> float:
     squared = 0.0
     for i in range(3):
@@ -162,7 +162,7 @@ def _squared_distance(points: FloatArray, a: int, b: int) -> float:
     return squared
 
 
-@compiled
+@inlined
 def _real_roots(b: float, c: float, d: float, e: float, roots: FloatArray) -> int:
     """Set the real roots of x^4 + b x^3 + c x^2 + d x + e, by Ferrari; return how many."""
     p = c - 0.375 * b * b
@@ -207,7 +207,7 @@ def _real_roots(b: float, c: float, d: float, e: float, roots: FloatArray) -> in
     return count
 
 
-@compiled
+@inlined
 def _axes(p: FloatArray, axes: FloatArray) -> bool:
     """Set (3, 3) columns: axes of the plane of three points; return whether they span one."""
     ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
@@ -225,7 +225,7 @@ def _axes(p: FloatArray, axes: FloatArray) -> bool:
     return True
 
 
-@compiled
+@inlined
 def _aligned(p_world: FloatArray, p_cam: FloatArray, T_cam_world: FloatArray) -> bool:
     """Set the transform that takes (3, 3) points to others; return whether there is one."""
     world, cam = np.empty((3, 3)), np.empty((3, 3))

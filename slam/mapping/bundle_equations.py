@@ -7,7 +7,7 @@ K cameras of which F are free, P points, O observations sorted by their point.
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled
+from slam.compiled import compiled, inlined
 from slam.geometry.reprojection import Intrinsics
 from slam.types import FloatArray, IntArray
 
@@ -15,7 +15,7 @@ Widths = tuple[float, float]
 """Of Huber's cost of pixels and Cauchy's of depth."""
 
 
-@compiled
+@inlined
 def _residuals(
     T_world_cam: FloatArray,
     point_m: FloatArray,
@@ -102,7 +102,7 @@ def agreement(
     return agrees
 
 
-@compiled
+@inlined
 def _derive(row: int, p: FloatArray, camera: Intrinsics, scale: float, A: FloatArray) -> None:
     """Set the (3,) derivative of u, v or disparity by the point p in the camera's frame, scaled."""
     fx, fy, _, _, baseline_fx = camera
@@ -113,7 +113,7 @@ def _derive(row: int, p: FloatArray, camera: Intrinsics, scale: float, A: FloatA
     A[2] = -along * near * near * scale
 
 
-@compiled
+@inlined
 def _add(a: FloatArray, b: FloatArray, to: FloatArray) -> None:
     """Add the outer product of two vectors."""
     for i in range(len(a)):
