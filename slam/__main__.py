@@ -159,7 +159,7 @@ def _run(arguments: Arguments) -> None:
         # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
         gc.collect()
         gc.freeze()
-        slam = Slam(sessions.camera, recognizer, settings)
+        slam = Slam(sessions.camera, recognizer, settings, claimed.unfinished)
         header = Header(
             arguments.title,
             shlex.join(arguments.command),
