@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `run_slam` command, also as `python -m slam`: read a sequence, run, write the folder."""
 
+import ctypes
 import gc
 import logging
 import math
@@ -8,7 +9,7 @@ import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
+_M_ARENA_MAX = -8  # of malloc.h
 _log = logging.getLogger("slam")
 
 _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
@@ -142,6 +144,7 @@ def _work(typed: list[str]) -> int:
 
 
 def _run(arguments: Arguments) -> None:
+    _share_memory()
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
@@ -216,6 +219,12 @@ def _finish(arguments: Arguments) -> None:
                 claimed.discard()
                 raise SlamError("the run was killed before it had tracked anything; start it again")
             _tell(conclude(run, slam))
+
+
+def _share_memory() -> None:
+    """Let threads use what others have freed: glibc keeps it for the thread that had it."""
+    with suppress(OSError, AttributeError):  # another C library than glibc
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 @contextmanager
