@@ -225,6 +225,31 @@ def test_help_is_quick_because_it_loads_nothing_heavy(tmp_path):
         assert f"'{heavy}'" not in done.stderr
 
 
+def test_tracking_loads_no_library_that_only_outputs_or_learning_need(short_recording):
+    script = (
+        "import sys\n"
+        "from slam import __main__ as cli\n"
+        "from slam.output import ending\n"
+        "def conclude(*_):\n"
+        "    print(*sys.modules)\n"
+        "    sys.exit(7)\n"
+        "ending.conclude = conclude\n"
+        "cli.main(sys.argv[1:])\n"
+    )
+    folder = short_recording()
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(folder), "--out", str(folder / "out")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 7, done.stderr
+    loaded = set(done.stdout.split())
+    assert "slam.tracking.odometry" in loaded
+    idle = {"torch", "open3d", "matplotlib", "PIL", "jinja2", "scipy.stats", "scipy.optimize"}
+    assert not idle & loaded
+
+
 # Several sequences
 
 
