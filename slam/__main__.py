@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `run_slam` command, also as `python -m slam`: read a sequence, run, write the folder."""
 
-import ctypes
 import gc
 import logging
 import math
@@ -9,7 +8,7 @@ import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
-_M_ARENA_MAX = -8  # of malloc.h
 _log = logging.getLogger("slam")
 
 _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
@@ -144,15 +142,16 @@ def _work(typed: list[str]) -> int:
 
 
 def _run(arguments: Arguments) -> None:
-    _share_memory()
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
+    from slam.output.freed_memory import share_between_threads
     from slam.output.journal import Header, JournalWriter
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam
 
+    share_between_threads()
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
@@ -219,12 +218,6 @@ def _finish(arguments: Arguments) -> None:
                 claimed.discard()
                 raise SlamError("the run was killed before it had tracked anything; start it again")
             _tell(conclude(run, slam))
-
-
-def _share_memory() -> None:
-    """Let threads use what others have freed: glibc keeps it for the thread that had it."""
-    with suppress(OSError, AttributeError):  # another C library than glibc
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 @contextmanager

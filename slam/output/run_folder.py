@@ -15,6 +15,7 @@ from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
 from slam.output.claimed_folder import ClaimedFolder
+from slam.output.freed_memory import give_back
 from slam.output.ledger import write_ledger
 from slam.output.point_cloud import write_map
 from slam.output.summary import summarise
@@ -158,6 +159,7 @@ def _write_report(
     from slam.output.report.page import write_report
 
     write_report(path, result, drift, settings, title, truth)
+    give_back()
 
 
 def _write_graph(path: Path, result: SlamResult) -> None:
