@@ -147,10 +147,12 @@ def _run(arguments: Arguments) -> None:
     from slam.datasets import Sessions
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
+    from slam.output.freed_memory import share_between_threads
     from slam.output.journal import Header, JournalWriter
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam
 
+    share_between_threads()
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
@@ -162,7 +164,7 @@ def _run(arguments: Arguments) -> None:
         gc.freeze()
         if not load_compiled():
             note("compiling the inner loops for this machine, which the first run waits for")
-        slam = Slam(sessions.camera, recognizer, settings)
+        slam = Slam(sessions.camera, recognizer, settings, claimed.unfinished)
         header = Header(
             arguments.title,
             shlex.join(arguments.command),

@@ -144,6 +144,14 @@ class OdometryConfig(_Section):
         return value
 
 
+class KeyframesConfig(_Section):
+    """What is kept of keyframes until the outputs are made."""
+
+    memory_mb: Annotated[int, Field(ge=0, le=1_000_000)] = 64
+    """Images of keyframes, some 60 kB each at 640x480, that do not fit into so many MB go to a
+    temporary file beside the outputs."""
+
+
 class LoopConfig(_Section):
     """Which earlier keyframes are looked at as the same place."""
 
@@ -206,6 +214,7 @@ class Config(_Section):
     input: InputConfig = InputConfig()
     features: FeaturesConfig = FeaturesConfig()
     odometry: OdometryConfig = OdometryConfig()
+    keyframes: KeyframesConfig = KeyframesConfig()
     loop: LoopConfig = LoopConfig()
     verification: VerificationConfig = VerificationConfig()
     graph: GraphConfig = GraphConfig()

@@ -4,6 +4,7 @@
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,14 +50,23 @@ class Slam:
     """
 
     def __init__(
-        self, camera: Camera, recognizer: PlaceRecognizer, config: Config | None = None
+        self,
+        camera: Camera,
+        recognizer: PlaceRecognizer,
+        config: Config | None = None,
+        scratch: Path | None = None,
     ) -> None:
+        """Begin, with the default settings unless told.
+
+        What does not fit into memory goes to a file without a name in the folder `scratch`, by
+        default the system's for temporary files.
+        """
         load_compiled()
         self._camera = camera
         self._config = config or Config()
         self.clock = StageClock()
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
-        self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize)
+        self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize, scratch)
         self._external = ExternalOdometry(self._config.odometry)
         self._frames = FrameLog()
         self._last_s = -np.inf  # of the last frame

@@ -70,6 +70,7 @@ def open_session(path: Path) -> Opened:
     # As torch's: a second thread changes the last bits, and waits for ever on a busy machine.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
+    options.enable_cpu_mem_arena = False  # it keeps more than one image after another needs
     options.log_severity_level = 4  # what it prints by itself comes back as an exception, too
     try:
         session = onnxruntime.InferenceSession(

@@ -11,7 +11,6 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from slam.external_odometry.comparison import Comparison, GivenKeyframe, GivenPath
 from slam.geometry import se3
@@ -205,6 +204,8 @@ def _variances(compared: Comparison, part: slice) -> FloatArray:
 
     Iterated least squares, each motion by what its own variance lets be known, outliers by less.
     """
+    from scipy.optimize import nnls  # loaded where there is an odometry from elsewhere alone
+
     squared = (compared.errors[:, part] ** 2).mean(axis=1)
     images = np.einsum("nii->n", compared.covariances[:, part, part]) / 3.0
     variances = _NOTHING

@@ -9,6 +9,7 @@ from slam.config import Config
 from slam.datasets.pose_files import PoseFile
 from slam.evaluation.drift import DriftReport, compare_drift
 from slam.output.claimed_folder import ClaimedFolder
+from slam.output.freed_memory import give_back
 from slam.output.journal import Header
 from slam.output.run_folder import write_outputs
 from slam.output.summary import summary_table
@@ -73,7 +74,9 @@ def conclude(
     """
     folder = run.claimed.path
     problems: list[str] = []
+    give_back()  # to finish takes the most at once
     result = slam.finish()
+    give_back()
     drift, doubts = _judge(result, run, problems)
     if unwritten:
         doubts = (f"the work could not be kept on disk on the way: {cause_of(unwritten)}", *doubts)

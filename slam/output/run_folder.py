@@ -15,9 +15,9 @@ from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
 from slam.output.claimed_folder import ClaimedFolder
+from slam.output.freed_memory import give_back
 from slam.output.ledger import write_ledger
 from slam.output.point_cloud import write_map
-from slam.output.report.page import write_report
 from slam.output.summary import summarise
 from slam.pose_graph import write_g2o
 from slam.result import GivenOdometry, SlamResult
@@ -83,7 +83,7 @@ def write_outputs(
         "pose_graph.g2o": lambda path: _write_graph(path, result),
         "settings.toml": lambda path: write_atomically(path, settings),
         "summary.json": lambda path: _write_summary(path, result, drift, command, list(writers)),
-        "report.html": lambda path: write_report(path, result, drift, settings, title, truth),
+        "report.html": lambda path: _write_report(path, result, drift, settings, title, truth),
     }
     if config.map.write and result.has_images:
         writers["map.ply"] = lambda path: write_map(path, result, config.map)
@@ -145,6 +145,21 @@ def _of_given(given: GivenOdometry, pose_file: PoseFile | None) -> dict[str, _Wr
             path, Trajectory(corrected.timestamps_s, T_map_odom)
         ),
     }
+
+
+def _write_report(
+    path: Path,
+    result: SlamResult,
+    drift: DriftReport | None,
+    settings: str,
+    title: str,
+    truth: Trajectory | None,
+) -> None:
+    # Loaded here, because matplotlib takes time and memory that tracking does without.
+    from slam.output.report.page import write_report
+
+    write_report(path, result, drift, settings, title, truth)
+    give_back()
 
 
 def _write_graph(path: Path, result: SlamResult) -> None:

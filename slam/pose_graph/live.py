@@ -9,7 +9,7 @@ meanwhile. So the corrections on the way are found here: graduated non-convexity
 import numpy as np
 import scipy.sparse
 from scipy.sparse.linalg import splu
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from slam.geometry import se3
 from slam.pose_graph.graph import GraphSolution, PoseGraph
@@ -26,7 +26,8 @@ def solve_beside(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
     system = _System(graph)
-    limit = float(chi2.ppf(inlier_probability, 6))
+    # The quantile of chi-squared with six degrees of freedom; scipy.stats takes long to load.
+    limit = 2.0 * float(gammaincinv(3.0, inlier_probability))
     T, first = system.T_start, len(graph.links) + len(graph.steps)
     squared = system.squared_errors(T)[first:]
     # Convex at first, where no loop has a say beyond its limit; then step by step what it should be

@@ -5,12 +5,14 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from slam.config import Config
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor, straightened
+from slam.geometry.previews import Previews
 from slam.geometry.smear import SmearFinder
 from slam.mapping.keyframe_links import covisible_links
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
@@ -24,7 +26,7 @@ from slam.tracking.frame_pose import (
     track_local_map,
 )
 from slam.tracking.motion_model import MotionModel
-from slam.tracking.tracked_frame import TrackedFrame, new_keyframe
+from slam.tracking.tracked_frame import TrackedFrame, new_keyframe, preview
 from slam.tracking.trails import Recognize, Trails
 from slam.types import (
     Camera,
@@ -54,6 +56,7 @@ class RgbdOdometry:
         camera: Camera,
         config: Config,
         recognize: Recognize = lambda *_: (),
+        scratch: Path | None = None,
     ) -> None:
         self._camera = camera
         self._config = config.odometry
@@ -61,6 +64,8 @@ class RgbdOdometry:
         self._local_map = LocalMap(camera, config)
         self._trails = Trails(self._local_map.whole, config, recognize)
         self._smears = SmearFinder()
+        most_bytes = config.keyframes.memory_mb * 1_000_000
+        self._previews = Previews(most_bytes, camera.depth_scale, scratch)
         self._worth_a_segment = _WORTH_A_SEGMENT * config.features.count
         self._moved: set[int] = set()  # keyframes that were adjusted since the last new one
         self._segments = 0
@@ -260,12 +265,11 @@ class RgbdOdometry:
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
         """Make a keyframe of the view, which stays where it was placed until the map is settled."""
         model, T_map_cam = self._trails.followed, frame_pose.T_map_cam
+        kept = self._previews.keep(preview(view.frame))  # first, for it may fail
         new_id = self._local_map.insert(view.features, T_map_cam, frame_pose.pairs)
         self._near = model
         model.last_ids = self.map.seen_by([new_id])
         features = self.map.placed_features(new_id)
-        keyframe = new_keyframe(
-            new_id, view.frame, features, T_map_cam, turning_rad_s, model.segment
-        )
+        keyframe = new_keyframe(new_id, kept, features, T_map_cam, turning_rad_s, model.segment)
         self._trails.add_keyframe(keyframe)
         return keyframe

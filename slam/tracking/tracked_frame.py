@@ -37,19 +37,19 @@ class TrackedFrame:
 
 def new_keyframe(
     keyframe_id: int,
-    frame: Frame,
+    preview: Frame,
     features: Features,
     T_odom_cam: FloatArray,
     turning_rad_s: float,
     segment: int,
 ) -> Keyframe:
-    """Return the keyframe that a frame at a (4, 4) pose becomes."""
+    """Return the keyframe that a frame at a (4, 4) pose becomes, of which this is left."""
     return Keyframe(
         id=keyframe_id,
-        timestamp_s=frame.timestamp_s,
+        timestamp_s=preview.timestamp_s,
         T_odom_cam=T_odom_cam,
         features=features,
-        preview=preview(frame),
+        preview=preview,
         turning_rad_s=turning_rad_s,
         segment=segment,
     )

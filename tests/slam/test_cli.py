@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import errno
 import html
 import json
 import os
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -225,6 +227,50 @@ def test_help_is_quick_because_it_loads_nothing_heavy(tmp_path):
     assert done.stderr.startswith("0 ")
     for heavy in ("torch", "open3d", "gtsam", "cv2", "matplotlib", "scipy", "sklearn"):
         assert f"'{heavy}'" not in done.stderr
+
+
+def test_a_disk_too_full_for_images_of_keyframes_ends_the_run_with_what_was_done(
+    short_recording, run_slam, monkeypatch
+):
+    write, calls = os.pwrite, []
+
+    def fills_up(*arguments):
+        calls.append(arguments)
+        if len(calls) > 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(*arguments)
+
+    monkeypatch.setattr(os, "pwrite", fills_up)
+    ran = run_slam(short_recording(40), "--keyframes.memory-mb", 0)
+    assert ran.complaint.startswith("cannot keep the images of keyframes: No space left on device;")
+    assert "what was done until then is in" in ran.complaint
+    assert set(names(ran.folder)) >= set(OUTPUTS)
+    assert len(read_tum(ran.folder / "trajectory.txt")) > 0
+
+
+def test_tracking_loads_no_library_that_only_outputs_or_learning_need(short_recording):
+    script = (
+        "import sys\n"
+        "from slam import __main__ as cli\n"
+        "from slam.output import ending\n"
+        "def conclude(*_):\n"
+        "    print(*sys.modules)\n"
+        "    sys.exit(7)\n"
+        "ending.conclude = conclude\n"
+        "cli.main(sys.argv[1:])\n"
+    )
+    folder = short_recording()
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(folder), "--out", str(folder / "out")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 7, done.stderr
+    loaded = set(done.stdout.split())
+    assert "slam.tracking.odometry" in loaded
+    idle = {"torch", "open3d", "matplotlib", "PIL", "jinja2", "scipy.stats", "scipy.optimize"}
+    assert not idle & loaded
 
 
 # Several sequences
@@ -836,6 +882,7 @@ def test_ctrl_c_while_the_run_is_written_waits_for_it(run_slam, short_recording,
 
 
 def test_a_full_disk_keeps_what_was_written(run_slam, short_recording, monkeypatch):
+    import_module("slam.output.report.page")  # loaded later, it would keep what is patched
     write, left = files.write_atomically, iter(range(5))
 
     def fills_up(path, data):

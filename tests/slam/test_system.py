@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import errno
+import os
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +14,7 @@ from placerec.errors import RecognizerError
 from placerec.evaluation.calibration import Scenes, calibrate
 from placerec.recognizers.gradients import GradientRecognizer
 from slam import system
-from slam.config import Config, EvaluationConfig, LoopConfig, MotionConfig
+from slam.config import Config, EvaluationConfig, KeyframesConfig, LoopConfig, MotionConfig
 from slam.evaluation.drift import compare_drift, trajectory_error
 from slam.geometry import se3
 from slam.loops import back_end
@@ -754,3 +756,42 @@ def test_a_lens_that_is_uncovered_where_nothing_is_known_begins_a_segment(frames
     found, result = T_odom_cams([*uncovered(frames)[:10], *uncovered(frames)[28:50], *later])
     np.testing.assert_array_equal(found[32], np.eye(4))
     assert {keyframe.segment for keyframe in result.keyframes} == {0, 1}
+
+
+# Images of keyframes that do not fit into memory
+
+
+def test_keyframes_on_disk_are_as_good_as_in_memory(frames, room_run, tmp_path):
+    config = Config(keyframes=KeyframesConfig(memory_mb=0))
+    slam = Slam(CAMERA, GradientRecognizer(), config, tmp_path)
+    for frame in frames:
+        slam.process(frame)
+    result = slam.finish()
+    np.testing.assert_array_equal(result.trajectory.T_world_cam, room_run.trajectory.T_world_cam)
+    for ours, theirs in zip(result.keyframes, room_run.keyframes, strict=True):
+        np.testing.assert_array_equal(ours.preview.rgb, theirs.preview.rgb)
+        np.testing.assert_array_equal(ours.preview.depth_m, theirs.preview.depth_m)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_ends_tracking_and_what_was_done_until_then_can_be_finished(
+    frames, tmp_path, monkeypatch
+):
+    config = Config(keyframes=KeyframesConfig(memory_mb=0))
+    slam = Slam(CAMERA, GradientRecognizer(), config, tmp_path)
+    placed = 0
+    for frame in frames[:20]:
+        placed += isinstance(slam.process(frame), TrackedFrame)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", full)
+        with pytest.raises(SlamError, match="cannot keep the images of keyframes: No space left"):
+            for frame in frames[20:]:
+                placed += isinstance(slam.process(frame), TrackedFrame)
+    result = slam.finish()
+    assert result.missing == ()
+    assert len(result.trajectory) == placed
+    assert all(each.preview.depth_m.any() for each in result.keyframes)

@@ -83,8 +83,10 @@ def _holds_depth(image: NDArray[Any]) -> bool:
 
 def in_metres(image: NDArray[np.uint16], depth_scale: float) -> NDArray[np.float32]:
     """Return depth of so many units per metre, 0 or 65535 where unknown, in metres, 0 there."""
-    known = np.where(image == _NO_DEPTH, np.uint16(0), image)
-    return known.astype(np.float32) / np.float32(depth_scale)
+    depth_m = np.divide(image, np.float32(depth_scale), dtype=np.float32)
+    if image.max(initial=0) == _NO_DEPTH:  # few cameras write it
+        depth_m[image == _NO_DEPTH] = 0.0
+    return depth_m
 
 
 def is_depth(path: Path) -> bool:

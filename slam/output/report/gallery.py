@@ -55,7 +55,8 @@ def picture(loop: Decision, camera: Camera) -> str:
     height = round(width * views[0].shape[0] / views[0].shape[1])
     canvas = Image.new("RGB", (2 * width, height))
     for left, view in zip((0, width), views, strict=True):
-        canvas.paste(Image.fromarray(view).resize((width, height)), (left, 0))
+        larger = Image.fromarray(view).resize((width, height), Image.Resampling.BILINEAR)
+        canvas.paste(larger, (left, 0))
     _draw_matches(canvas, loop, camera)
     jpeg = BytesIO()
     canvas.reduce(_OVERSAMPLING).save(jpeg, "JPEG", quality=72)

@@ -10,6 +10,7 @@ from placerec.errors import LoopcloseError
 from slam.config import MapConfig
 from slam.datasets.cameras import FREIBURG
 from slam.geometry import se3
+from slam.output import point_cloud
 from slam.output.point_cloud import PointCloud, fuse, write_map
 from slam.result import SlamResult
 from slam.tracking.tracked_frame import preview
@@ -121,6 +122,33 @@ def test_what_several_keyframes_see_is_there_once():
     once = fuse(result_of([wall()]), COARSE)
     thrice = fuse(result_of([wall(i) for i in range(3)]), COARSE)
     assert len(thrice.points_m) == len(once.points_m)
+
+
+def test_keyframes_fused_one_after_the_other_are_as_if_all_were_at_once(monkeypatch, frames):
+    turned = se3.exp(np.array([0.0, 0.1, 0.0, 0.2, 0.0, 0.1]))
+    keyframes = [
+        Keyframe(i, frame.timestamp_s, np.eye(4), None, preview(frame))
+        for i, frame in enumerate(frames[:6])
+    ]
+    T_world_kf = [np.linalg.matrix_power(turned, k % 3) for k in range(6)]
+    camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+    result = result_of(keyframes, T_world_kf, camera)
+    monkeypatch.setattr(point_cloud, "_FEW", 10**9)
+    at_once = fuse(result, COARSE)
+    monkeypatch.setattr(point_cloud, "_FEW", 1)
+    in_turn = fuse(result, COARSE)
+    np.testing.assert_allclose(in_turn.points_m, at_once.points_m, atol=1e-9)
+    np.testing.assert_allclose(in_turn.colours, at_once.colours, atol=1e-3)
+    np.testing.assert_array_equal(in_turn.counts, at_once.counts)
+
+
+def test_a_map_too_wide_for_one_number_per_voxel_is_the_same(monkeypatch):
+    rng = np.random.default_rng(0)
+    cloud = PointCloud(rng.normal(size=(2000, 3)), rng.uniform(0.0, 255.0, (2000, 3)))
+    usual = cloud.thinned(0.25)
+    monkeypatch.setattr(point_cloud, "_LARGEST", 0)
+    for ours, theirs in zip(vars(cloud.thinned(0.25)).values(), vars(usual).values(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_points_are_no_denser_than_the_voxels():

@@ -14,8 +14,8 @@ from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_config
 from slam.evaluation.drift import compare_drift
 from slam.evaluation.trajectory import read_tum
-from slam.output import run_folder
 from slam.output.ledger import read_ledger
+from slam.output.report import page
 from slam.output.run_folder import write_run
 from slam.system import Slam
 from slam.types import Rejection, RejectionReason, RelativePose, SlamError, Trajectory
@@ -218,7 +218,7 @@ def test_one_output_that_cannot_be_made_does_not_cost_the_others(tmp_path, monke
     def fail(*_):
         raise MemoryError("no more")
 
-    monkeypatch.setattr(run_folder, "write_report", fail)
+    monkeypatch.setattr(page, "write_report", fail)
     with pytest.raises(SlamError, match=r"missing: report\.html: MemoryError: no more"):
         write_run(tmp_path, result, None, None, CONFIG, *NAMES)
     assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt", "report.html"})

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+import copy
+import errno
+import gc
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.geometry.previews import Previews
+from slam.tracking.tracked_frame import preview
+from slam.types import Frame, SlamError
+
+UNITS = 5000.0
+PLENTY = 1 << 30
+
+
+@pytest.fixture(scope="module")
+def shown(frames):
+    return [preview(each) for each in frames[:4]]
+
+
+def assert_same(kept, frame):
+    assert isinstance(kept, Frame)
+    assert kept.timestamp_s == frame.timestamp_s
+    assert kept.rgb.dtype == np.uint8 and kept.rgb.shape == frame.rgb.shape
+    assert np.abs(kept.rgb.astype(float) - frame.rgb).mean() < 5.0
+    assert kept.depth_m.dtype == np.float32
+    np.testing.assert_array_equal(kept.depth_m, frame.depth_m)
+
+
+def open_files():
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.parametrize("most_bytes", [PLENTY, 0], ids=["memory", "file"])
+def test_a_frame_that_was_kept_is_the_frame_again(shown, tmp_path, most_bytes):
+    store = Previews(most_bytes, UNITS, tmp_path)
+    kept = [store.keep(each) for each in shown]
+    for again, frame in zip(kept, shown, strict=True):
+        assert_same(again, frame)
+        assert_same(again, frame)  # as often as anybody asks
+
+
+def test_it_takes_a_fifth_of_the_memory(shown, tmp_path):
+    most_bytes = (shown[0].rgb.nbytes + shown[0].depth_m.nbytes) // 5
+    kept = Previews(most_bytes, UNITS, tmp_path / "none").keep(shown[0])  # there can be no file
+    assert_same(kept, shown[0])
+
+
+@pytest.mark.parametrize(
+    "depth_m",
+    [
+        np.full((5, 7), 1.00007, np.float32),  # between two units
+        np.full((5, 7), 40.0, np.float32),  # more units than 16 bits count
+        np.array([[0.0, np.nan, np.inf, 1.0]], np.float32),
+        np.linspace(0.0, 3.0, 99, dtype=np.float32).reshape(9, 11)[::2, ::2],
+    ],
+)
+def test_depth_that_is_no_whole_number_of_units_is_kept_to_the_last_bit(depth_m):
+    frame = Frame(1.0, np.zeros((*depth_m.shape, 3), np.uint8), depth_m)
+    np.testing.assert_array_equal(Previews(PLENTY, UNITS).keep(frame).depth_m, depth_m)
+
+
+def test_what_does_not_fit_into_memory_is_the_same_from_a_file(shown, tmp_path):
+    inside, beyond = Previews(PLENTY, UNITS), Previews(10_000, UNITS, tmp_path)
+    for frame in shown:
+        one, other = inside.keep(frame), beyond.keep(frame)
+        np.testing.assert_array_equal(one.rgb, other.rgb)
+        np.testing.assert_array_equal(one.depth_m, other.depth_m)
+
+
+def test_the_file_begins_where_memory_ends(shown, tmp_path):
+    before = open_files()
+    store = Previews(PLENTY, UNITS, tmp_path)
+    kept = store.keep(shown[0])
+    assert open_files() == before
+    store = Previews(2, UNITS, tmp_path)
+    kept = store.keep(shown[0])
+    assert open_files() == before + 1
+    assert kept.rgb.any()
+
+
+def test_the_file_has_no_name_and_is_gone_with_the_last_frame(shown, tmp_path):
+    before = open_files()
+    store = Previews(0, UNITS, tmp_path)
+    kept = [store.keep(each) for each in shown]
+    assert list(tmp_path.iterdir()) == []
+    del store
+    gc.collect()
+    assert_same(kept[-1], shown[-1])
+    del kept
+    gc.collect()
+    assert open_files() == before
+
+
+def test_a_folder_that_is_removed_meanwhile_takes_nothing_away(shown, tmp_path):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    store = Previews(0, UNITS, folder)
+    kept = [store.keep(shown[0])]
+    folder.rmdir()
+    kept.append(store.keep(shown[1]))
+    for again, frame in zip(kept, shown[:2], strict=True):
+        assert_same(again, frame)
+
+
+def test_a_full_disk_is_one_clear_line_and_costs_nothing_that_was_kept(
+    shown, tmp_path, monkeypatch
+):
+    store = Previews(0, UNITS, tmp_path)
+    kept = store.keep(shown[0])
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", full)
+        with pytest.raises(SlamError, match=r"No space left.*keyframes\.memory-mb") as error:
+            store.keep(shown[1])
+    assert "\n" not in str(error.value)
+    assert_same(kept, shown[0])
+    assert_same(store.keep(shown[1]), shown[1])  # once there is space again
+
+
+def test_a_file_that_takes_a_part_at_a_time_is_written_whole(shown, tmp_path, monkeypatch):
+    write = os.pwrite
+    monkeypatch.setattr(os, "pwrite", lambda file, data, at: write(file, data[:1000], at))
+    store = Previews(0, UNITS, tmp_path)
+    kept = [store.keep(each) for each in shown]
+    for again, frame in zip(kept, shown, strict=True):
+        assert_same(again, frame)
+
+
+def test_a_folder_that_is_not_there_is_one_clear_line(shown, tmp_path):
+    with pytest.raises(SlamError, match="cannot keep the images of keyframes: No such file"):
+        Previews(0, UNITS, tmp_path / "none").keep(shown[0])
+
+
+def test_a_copy_is_a_frame_like_any_other(shown, tmp_path):
+    again = copy.deepcopy(Previews(0, UNITS, tmp_path).keep(shown[0]))
+    assert type(again) is Frame
+    assert_same(again, shown[0])
