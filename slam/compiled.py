@@ -50,7 +50,7 @@ def compiled(function: _Function) -> _Function:
 
 def inlined(function: _Function) -> _Function:
     """Compile a function that compiled ones call, as a part of each of them."""
-    return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[return-value]
 
 
 def load_compiled() -> bool:
