@@ -31,7 +31,8 @@ class _Cache(FunctionCache):
 
     def signatures(self) -> list[Any]:
         """Return for which types of arguments the function was compiled here."""
-        return [key[0] for key in self._cache_file._load_index()]
+        index: dict[Any, str] = self._cache_file._load_index()  # type: ignore[no-untyped-call]
+        return [key[0] for key in index]
 
 
 _loops: list[Any] = []  # that were imported so far

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from slam.external_odometry.conventions import Convention
 from slam.external_odometry.given_poses import poses_between
@@ -236,6 +235,8 @@ def _compared(
 
 def _offset(motions: _Motions, body: Trajectory, about_s: float) -> float:
     """Return how much later the body's stamps are, about so many seconds, by what both turn."""
+    from scipy.spatial.transform import Rotation, Slerp  # takes long to load, and few need it
+
     turning = Slerp(body.timestamps_s, Rotation.from_matrix(body.T_world_cam[:, :3, :3]))
     camera = se3.log(motions.T_start_end)[:, :3]
     first_s, last_s = body.timestamps_s[[0, -1]]
