@@ -143,8 +143,8 @@ def _work(typed: list[str]) -> int:
 
 def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
-    from slam.compiled import load_compiled
     from slam.datasets import Sessions
+    from slam.geometry.compiled import load_compiled
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
     from slam.output.freed_memory import share_between_threads

@@ -64,7 +64,7 @@ def open_session(path: Path) -> Opened:
         import onnxruntime
     except ImportError as error:
         raise RecognizerError(
-            f"an ONNX file needs the package onnxruntime: pip install 'loopclose[onnx]': {path}"
+            f"an ONNX file needs the package onnxruntime: pip install onnxruntime: {path}"
         ) from error
     options = onnxruntime.SessionOptions()
     # As torch's: a second thread changes the last bits, and waits for ever on a busy machine.

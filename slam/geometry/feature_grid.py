@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled, count_bits, inlined
+from slam.geometry.compiled import compiled, count_bits, inlined
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _CELL_PX = 20.0

@@ -10,7 +10,7 @@ import cmath
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled, inlined
+from slam.geometry.compiled import compiled, inlined
 from slam.types import Camera, FloatArray, IntArray
 
 _CONFIDENCE = 0.9999  # of having drawn three that are right

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.compiled import compiled
+from slam.geometry.compiled import compiled
 from slam.types import FloatArray, IntArray
 
 UNSEEN = -1

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from slam import compiled
-from slam.compiled import count_bits
+from slam.geometry import compiled
+from slam.geometry.compiled import count_bits
 
 SOURCE = """
-from slam.compiled import compiled, load_compiled
+from slam.geometry.compiled import compiled, load_compiled
 
 @compiled
 def added(numbers):
