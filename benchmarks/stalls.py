@@ -31,9 +31,10 @@ from slam import Config, Slam, TrackedFrame, open_sequence
 from slam.__main__ import DEFAULT_RECOGNIZER
 from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
+from slam.geometry.previews import Previews
 from slam.loops.back_end import BackEnd
 from slam.mapping.local_map import LocalMap
-from slam.tracking import odometry, tracked_frame
+from slam.tracking import odometry
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.trails import Trails
 
@@ -46,7 +47,8 @@ PARTS: dict[str, tuple[Any, str]] = {
     "recognition": (Trails, "recognize"),
     "local map": (LocalMap, "insert"),
     "links": (odometry, "covisible_links"),
-    "preview": (tracked_frame, "preview"),
+    "preview": (odometry, "preview"),
+    "its compression": (Previews, "keep"),
     "waiting for loops": (BackEnd, "insert"),
 }
 LONGEST = 5

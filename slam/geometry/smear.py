@@ -50,7 +50,7 @@ def sharpness(rgb: NDArray[np.uint8]) -> float:
 
 def _weakest_edges(grey: cv2.typing.MatLike) -> float:
     """Return the mean squared slope in the direction in which that is least."""
-    slopes = np.stack([cv2.Sobel(grey, cv2.CV_32F, *each).ravel() for each in ((1, 0), (0, 1))])
+    slopes = np.array(cv2.spatialGradient(grey), np.float32).reshape(2, -1)
     slopes -= slopes.mean(axis=1, keepdims=True)
     covariance = slopes @ slopes.T / slopes.shape[1]
     return max(float(np.linalg.eigvalsh(covariance)[0]), 0.0)
