@@ -90,6 +90,7 @@ class BackEnd:
         self._solved_loops: Counter[int] = Counter()  # per segment of the later keyframe
         self._judged_id = -1
         self._solving: list[Future[None]] = []
+        self._solved: Mapping[int, FloatArray] = {}  # what the last correction was made of
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: Exception | None = None  # nothing after it is taken in
         self.attempts: list[LoopAttempt] = []
@@ -231,7 +232,7 @@ class BackEnd:
         return largest, self._atlas.largest(frames, with_given=False)
 
     def _solve(self, graph: PoseGraph) -> GraphSolution:
-        return solve(graph, self._inlier_probability)
+        return solve(replace(graph, solved=self._solved), self._inlier_probability)
 
     def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:
@@ -291,7 +292,11 @@ class BackEnd:
 
     def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):
-            largest, solution = borne_out(
-                largest, by_images, lambda graph: solve_beside(graph, self._inlier_probability)
-            )
-        self.corrections.append(largest.correction(self.corrections[-1], newest_id, solution))
+            largest, solution = borne_out(largest, by_images, self._solve_beside)
+        self._solved, before = solution.T_world_kf, self.corrections[-1]
+        self.corrections.append(largest.correction(before, newest_id, solution))
+        # Where keyframes were is asked of the newest one alone, and each new one has all of them.
+        self.corrections[-2] = replace(before, T_world_kf={})
+
+    def _solve_beside(self, graph: PoseGraph) -> GraphSolution:
+        return solve_beside(replace(graph, solved=self._solved), self._inlier_probability)

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from slam.types import FloatArray, Link
 
+_SMALL = 500  # keyframes: those that can be adjusted at once
+
 
 @dataclass(frozen=True)
 class PoseGraph:
@@ -27,6 +29,11 @@ class PoseGraph:
     loops: Mapping[int, Link]
     steps: Sequence[Link] = ()
     solved: Mapping[int, FloatArray] = field(default_factory=dict)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether there are too many keyframes for any start but an earlier solution."""
+        return len(self.T_world_kf) > _SMALL
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,9 @@ from slam.pose_graph.motion_system import MotionSystem
 from slam.pose_graph.robust import contested, doubts
 from slam.types import FloatArray
 
-_SMALL_GRAPH = 500  # keyframes: those that can be adjusted at once
 _MOST_STEPS = 20
 _AT_REST = 1e-8  # of a step: rad and m
 _MOST_SOFT_STEPS, _SOFT_AT_REST = 20, 1e-4  # an opinion needs no more than that
-
-
-def is_large(graph: PoseGraph) -> bool:
-    """Whether a graph has too many keyframes for anything but its own start."""
-    return len(graph.T_world_kf) > _SMALL_GRAPH
 
 
 def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:

@@ -14,6 +14,8 @@ from slam.pose_graph.motion_system import MotionSystem
 from slam.types import FloatArray
 
 _CONVEXITY_STEP = 1.4  # by how much the cost comes nearer to the true one in a round
+_STEP_FROM_SOLVED = 4.0  # and where there is an earlier solution
+_CONVEX = 0.01
 _MOST_ROUNDS = 60
 _POLISH_STEPS = 3  # once it is clear which loops hold
 
@@ -47,9 +49,11 @@ def graduated(system: MotionSystem, limit: float) -> tuple[FloatArray, FloatArra
         weights = _weights(squared, limit, convexity)
         T, _ = system.step(T, weights)
         squared = system.squared_errors(T)
-        if ((weights < 1e-3) | (weights > 1.0 - 1e-3)).all():
+        # While the cost is convex, weights are small without a loop being out.
+        is_clear = ((weights < 1e-3) | (weights > 1.0 - 1e-3)).all()
+        if is_clear and convexity > _CONVEX:
             break
-        convexity *= _CONVEXITY_STEP
+        convexity *= _STEP_FROM_SOLVED if system.is_solved else _CONVEXITY_STEP
     return T, squared
 
 

@@ -3,13 +3,17 @@
 
 import numpy as np
 import scipy.sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
 from slam.geometry import se3
 from slam.pose_graph.graph import PoseGraph
 from slam.types import FloatArray, IntArray
 
 _ANCHOR_INFORMATION = 1e8
+# A step after which weights hardly changed takes the factors of the one before, up to so many times,
+# and ends at this share of its right side. In a small graph factors cost less.
+_MOST_REPEATS, _REST = 30, 1e-8
+_WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
@@ -18,15 +22,17 @@ class MotionSystem:
     """The links, steps and loops of a graph, loops last, and its normal equations.
 
     Attributes:
-        T_start: (K, 4, 4), where the graph's earlier solution has its keyframes, else where the
-            graph begins; those that it did not know go on from the last one before that it knew.
+        T_start: (K, 4, 4), where the graph begins, but of a large one where its earlier solution
+            has the keyframes, if it was solved; the others go on from the last one that it knew.
+        is_solved: whether it was.
         first_loop: how many motions come before the loops.
     """
 
     def __init__(self, graph: PoseGraph) -> None:
         row_of = {k: row for row, k in enumerate(graph.T_world_kf)}
         motions = [*graph.links, *graph.steps, *graph.loops.values()]
-        self.T_start = _start(graph)
+        self.is_solved = graph.is_large and next(iter(graph.T_world_kf)) in graph.solved
+        self.T_start = _start(graph) if self.is_solved else np.array([*graph.T_world_kf.values()])
         self.first_loop = len(graph.links) + len(graph.steps)
         self._ref: IntArray = np.array([row_of[each.ref_id] for each in motions])
         self._query: IntArray = np.array([row_of[each.query_id] for each in motions])
@@ -66,10 +72,8 @@ class MotionSystem:
 
 
 def _start(graph: PoseGraph) -> FloatArray:
-    T_begin = np.array(list(graph.T_world_kf.values()))
+    T_begin = np.array([*graph.T_world_kf.values()])
     is_known = np.array([k in graph.solved for k in graph.T_world_kf])
-    if not is_known[0]:  # it stays, and all others count from it
-        return T_begin
     rows = np.arange(len(T_begin))
     last = np.maximum.accumulate(np.where(is_known, rows, 0))
     T_solved = T_begin.copy()
@@ -94,6 +98,7 @@ class _BlockMatrix:
         shape = (len(places), len(block_of))
         ones = np.ones(len(block_of))
         self._sum = scipy.sparse.csr_array((ones, (block_of, np.arange(len(ones)))), shape=shape)
+        self._factors: SuperLU | None = None
         self._columns = places % count
         self._starts = np.searchsorted(places, count * np.arange(count + 1))
 
@@ -109,8 +114,19 @@ class _BlockMatrix:
         matrix = scipy.sparse.bsr_array(parts, shape=(size, size)).tocsc()
         in_place = np.empty_like(right)
         in_place[self._place_of] = right
-        solution = splu(matrix, permc_spec="NATURAL", **_POSITIVE).solve(in_place.ravel())
+        solution = self._nearly(matrix, in_place.ravel())
+        if solution is None:
+            self._factors = splu(matrix, permc_spec="NATURAL", **_POSITIVE)
+            solution = self._factors.solve(in_place.ravel())
         return np.asarray(solution.reshape(-1, 6)[self._place_of])
+
+    def _nearly(self, matrix: scipy.sparse.csc_array, right: FloatArray) -> FloatArray | None:
+        """Return the solution if the factors of an earlier matrix lead to it soon, else None."""
+        if self._factors is None or len(right) < 6 * _WORTH_REUSING:
+            return None
+        factors = LinearOperator(matrix.shape, self._factors.solve)
+        solution, is_left = cg(matrix, right, rtol=_REST, maxiter=_MOST_REPEATS, M=factors)
+        return None if is_left else np.asarray(solution)
 
 
 def _elimination_order(ref: IntArray, query: IntArray, count: int) -> IntArray:

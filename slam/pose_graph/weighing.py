@@ -6,7 +6,7 @@ import numpy as np
 
 from slam.pose_graph.batch import optimize
 from slam.pose_graph.graph import GraphSolution, PoseGraph
-from slam.pose_graph.large import is_large, solve_large
+from slam.pose_graph.large import solve_large
 from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, contested_motions, doubts, solve_robustly
 from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, Link
 
@@ -20,7 +20,7 @@ def solve(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     """Weigh all loops against the links and each other, and say what there is to doubt."""
     if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
-    if is_large(graph):
+    if graph.is_large:
         return solve_large(graph, inlier_probability)
     initial, believed = _believed(graph)
     if not graph.loops:
