@@ -295,8 +295,8 @@ class BackEnd:
             largest, solution = borne_out(largest, by_images, self._solve_beside)
         self._solved, before = solution.T_world_kf, self.corrections[-1]
         self.corrections.append(largest.correction(before, newest_id, solution))
-        # Where keyframes were is asked of the newest one alone, and each new one has all of them.
-        self.corrections[-2] = replace(before, T_world_kf={})
+        if largest.graph.is_large:  # each has all keyframes again, and the newest alone is asked
+            self.corrections[-2] = replace(before, T_world_kf={})
 
     def _solve_beside(self, graph: PoseGraph) -> GraphSolution:
         return solve_beside(replace(graph, solved=self._solved), self._inlier_probability)

@@ -177,8 +177,8 @@ def test_a_large_map_is_weighed_by_the_quick_schedule_alone(walk, monkeypatch, m
         asked.append(len(schedules))
         return solve_robustly(graph, initial, doubted, probability, schedules)
 
-    monkeypatch.setattr("slam.pose_graph.graph._MOST_FOR_LINEAR", most)
-    monkeypatch.setattr("slam.pose_graph.graph.solve_robustly", weigh)
+    monkeypatch.setattr("slam.pose_graph.weighing._MOST_FOR_LINEAR", most)
+    monkeypatch.setattr("slam.pose_graph.weighing.solve_robustly", weigh)
     weights = solve(walk.graph(loops_of(walk)[0]), PROBABILITY).weights
     assert asked == [schedules]
     assert np.mean(np.array(list(weights.values())) > 0.9) >= 0.8
