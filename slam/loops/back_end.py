@@ -37,6 +37,8 @@ _LOOP_GROWTH = 0.1
 # An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
 # more as that share.
 _JUDGED_AFTER = 1
+# Of the candidates of so many keyframes it is kept which pixels matched, and of the last ones.
+_SHOWN_WITH_EVIDENCE, _RECENT = 500, 1000
 _log = logging.getLogger(__name__)
 
 
@@ -95,6 +97,7 @@ class BackEnd:
         self._failure: Exception | None = None  # nothing after it is taken in
         self.attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
+        self._evidence_from: int | None = None  # the first attempt that may have to lose it
         self.corrections = [Correction(0, -1, {}, {})]
 
     @property
@@ -274,6 +277,8 @@ class BackEnd:
             self._atlas.give({keyframe.id: given})
         self.keyframes.append(keyframe)
         self.attempts.extend(attempts)
+        if len(self.keyframes) > _SHOWN_WITH_EVIDENCE:
+            self._forget_evidence()
         for attempt in attempts:
             if attempt.rejection is None:
                 _log.info("keyframe %d sees keyframe %d again", attempt.query_id, attempt.match_id)
@@ -285,6 +290,18 @@ class BackEnd:
             self._solved_loops, self._judged_id = loops.copy(), keyframe.id
             self._solving.append(self._solver.submit(self._correct, keyframe.id, *self._largest()))
         return attempts
+
+    def _forget_evidence(self) -> None:
+        """Forget which pixels matched where a journal has it by now: of no more than can be shown.
+
+        A match takes 60 bytes, and what a keyframe's candidates show takes as much as the keyframe.
+        """
+        if self._evidence_from is None:
+            self._evidence_from = len(self.attempts)
+        for k in range(self._evidence_from, len(self.attempts) - _RECENT):
+            if seen := self.attempts[k].verification:
+                self.attempts[k] = replace(self.attempts[k], verification=seen.without_evidence)
+            self._evidence_from = k + 1
 
     def _is_due(self, keyframe: Keyframe, given: GivenKeyframe | None) -> bool:
         new = keyframe.id - self._judged_id
