@@ -20,7 +20,6 @@ _SEEN_BY = 2  # others that have to show a part of the image
 _SEEN_SHARE = 0.75  # of the parts that show anything; at the rim there are some in one view alone
 
 
-
 class Novelty:
     """Tells keyframes that show something new from those that do not.
 

@@ -119,9 +119,7 @@ def contested_motions(
     return contested(solution.weights[doubted] > MIN_TRUSTED_WEIGHT, first, second)
 
 
-def contested(
-    kept: NDArray[np.bool_], first: FloatArray, second: FloatArray
-) -> NDArray[np.bool_]:
+def contested(kept: NDArray[np.bool_], first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
     """Return which of D motions two estimators see clearly differently; the first keeps some.
 
     The (D,) squared errors are in units of the limit.

@@ -67,7 +67,9 @@ class LoggedFrames:
 
     def select(self, chosen: NDArray[np.bool_]) -> "LoggedFrames":
         """Return those of an (N,) mask."""
-        return LoggedFrames(**{each.name: getattr(self, each.name)[chosen] for each in fields(self)})
+        return LoggedFrames(
+            **{each.name: getattr(self, each.name)[chosen] for each in fields(self)}
+        )
 
 
 class FrameLog:
@@ -94,7 +96,10 @@ class FrameLog:
         self._segments.append(tracked.segment)
         self._newest_ids.append(newest_id)
         self._covered.append(tracked.covered)
-        for column, T in ((self._T_kf_cam, tracked.T_kf_cam), (self._T_odom_cam, tracked.T_odom_cam)):
+        for column, T in (
+            (self._T_kf_cam, tracked.T_kf_cam),
+            (self._T_odom_cam, tracked.T_odom_cam),
+        ):
             column.frombytes(np.asarray(T, np.float64).tobytes())
         for link in tracked.links:
             self._T_ref_kf[newest_id, link.ref_id] = link.motion.T_ref_query

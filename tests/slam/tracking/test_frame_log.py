@@ -107,7 +107,9 @@ def test_live_frames_stay_where_they_were_when_they_were_tracked(frames):
     assert live.T_world_cam[:, 0, 3].tolist() == [1100.0, 1100.5, 1101.0, 1101.5]
     assert asked == [(0, 0), (0, 0), (0, 1), (0, 1), (1, 2), (1, 2)]
     assert frames.segment == 1 and FrameLog().segment is None
-    nowhere = frames.live(poses(np.nan, np.nan, 7.0), lambda frames: np.full_like(frames.T_odom_cam, np.nan))
+    nowhere = frames.live(
+        poses(np.nan, np.nan, 7.0), lambda frames: np.full_like(frames.T_odom_cam, np.nan)
+    )
     assert nowhere.T_world_cam.shape == (0, 4, 4)
 
 
