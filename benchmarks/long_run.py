@@ -191,23 +191,16 @@ def _poses(right: FloatArray, forward: FloatArray, centre_m: Any) -> FloatArray:
 
 
 class TimedIndex(PlaceIndex):
-    """A place index that notes how long the queries for each place take, until that is added."""
+    """A place index that notes how long each query takes."""
 
     seconds: list[float]
-    _spent_s = 0.0
 
     def query(self, *asked: Any, **how: Any) -> Any:
         """Return the places most similar to an embedding."""
         start_s = time.perf_counter()
         answer = super().query(*asked, **how)
-        self._spent_s += time.perf_counter() - start_s
+        self.seconds.append(time.perf_counter() - start_s)
         return answer
-
-    def add(self, embedding: Any) -> int:
-        """Remember an embedding."""
-        self.seconds.append(self._spent_s)
-        self._spent_s = 0.0
-        return super().add(embedding)
 
 
 @dataclass(frozen=True)
@@ -219,7 +212,7 @@ class Run:
         cpu_s: (N,) what all threads worked meanwhile; other programs do not change it.
         memory_mb: (N,) in use after the frame, since before the first.
         keyframes: (N,) so far.
-        query_s: (K,) of comparing a keyframe with all earlier ones.
+        query_s: (Q,) of comparing an image with the places so far, of which it has one or two.
         finish_s, peak_memory_mb: what finishing took, and the most memory that it needed.
         untracked, loops, false_loops: how many.
         ate_m: of the odometry and of the corrected trajectory.
@@ -370,7 +363,7 @@ def draw(runs: list[Run], folder: Path) -> None:
             query_axes.plot(np.arange(len(run.query_s)), 1e3 * run.query_s, ".", color=colour, ms=2)
         time_axes.set(xlabel="frame", ylabel="ms per frame", ylim=(0, None))
         memory_axes.set(xlabel="frame", ylabel="MB in use per keyframe", ylim=(0, None))
-        query_axes.set(xlabel="keyframe", ylabel="ms per loop query", ylim=(0, None))
+        query_axes.set(xlabel="query", ylabel="ms per loop query", ylim=(0, None))
         time_axes.legend(ncols=2)
     (folder / "long_run.svg").write_bytes(svg(figure))
     (folder / "long_run.png").write_bytes(png(figure))

@@ -91,7 +91,7 @@ def _true_motions(
     truth: Trajectory,
     config: EvaluationConfig,
 ) -> FloatArray:
-    """Return the (N, 4, 4) motions between keyframes with ids (reference, query), NaN if unknown."""
+    """Return the (N, 4, 4) motions from ids (reference, query) of keyframes, NaN if unknown."""
     stamps_s = np.array([keyframe.timestamp_s for keyframe in keyframes])
     T_truth_cam = poses_at(truth, stamps_s, config.max_time_difference_s)
     row_of = {keyframe.id: row for row, keyframe in enumerate(keyframes)}
@@ -110,8 +110,8 @@ def _errors(measured: Sequence[RelativePose], T_ref_query: FloatArray) -> FloatA
 def _nees(measured: Sequence[RelativePose], T_ref_query: FloatArray) -> FloatArray:
     """Return (N,) `nees` of motions against (N, 4, 4) true ones, NaN where those are."""
     found = np.full(len(measured), np.nan)
-    known = np.isfinite(T_ref_query).all(axis=(1, 2))
-    some = [each for each, is_known in zip(measured, known, strict=True) if is_known]
+    known = np.flatnonzero(np.isfinite(T_ref_query).all(axis=(1, 2)))
+    some = [measured[n] for n in known.tolist()]
     error = se3.log(se3.inverse(_errors(some, T_ref_query[known])))
     information = np.array([each.information for each in some]).reshape(-1, 6, 6)
     found[known] = np.einsum("ni,nij,nj->n", error, information, error)

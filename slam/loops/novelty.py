@@ -50,7 +50,8 @@ class Novelty:
                 seen = np.append(seen, np.unique(self._cells(pixels)))
         shown = np.unique(self._cells(keyframe.features.pixels))
         cells, by = np.unique(seen, return_counts=True)
-        return np.isin(shown, cells[by >= _SEEN_BY]).sum() < _SEEN_SHARE * max(1, len(shown))
+        seen_again = int(np.isin(shown, cells[by >= _SEEN_BY]).sum())
+        return seen_again < _SEEN_SHARE * max(1, len(shown))
 
     def _cells(self, pixels: FloatArray) -> IntArray:
         """Return the number of the part of the image that (N, 2) pixels are in."""

@@ -20,7 +20,7 @@ _MOST_SOFT_STEPS, _SOFT_AT_REST = 20, 1e-4  # an opinion needs no more than that
 
 
 def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
-    """Weigh all loops, as `solve` does, and say what there is to doubt; there are loops or steps."""
+    """Weigh all loops, of which or of steps there are some, and say what there is to doubt."""
     system = MotionSystem(graph)
     limit = float(chi2.ppf(inlier_probability, 6))
     T, squared = graduated(system, limit)

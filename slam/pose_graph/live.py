@@ -14,7 +14,8 @@ from slam.pose_graph.motion_system import MotionSystem
 from slam.types import FloatArray
 
 _CONVEXITY_STEP = 1.4  # by how much the cost comes nearer to the true one in a round
-_STEP_FROM_SOLVED = 4.0  # and where there is an earlier solution
+# From an earlier solution there is no hurry to be feared until loops begin to be given up.
+_HURRIED_STEP, _UNDECIDED = 4.0, 0.1
 _CONVEX = 0.01
 _MOST_ROUNDS = 60
 _POLISH_STEPS = 3  # once it is clear which loops hold
@@ -53,7 +54,8 @@ def graduated(system: MotionSystem, limit: float) -> tuple[FloatArray, FloatArra
         is_clear = ((weights < 1e-3) | (weights > 1.0 - 1e-3)).all()
         if is_clear and convexity > _CONVEX:
             break
-        convexity *= _STEP_FROM_SOLVED if system.is_solved else _CONVEXITY_STEP
+        hurries = system.is_solved and convexity < _UNDECIDED
+        convexity *= _HURRIED_STEP if hurries else _CONVEXITY_STEP
     return T, squared
 
 

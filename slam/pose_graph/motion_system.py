@@ -10,8 +10,8 @@ from slam.pose_graph.graph import PoseGraph
 from slam.types import FloatArray, IntArray
 
 _ANCHOR_INFORMATION = 1e8
-# A step after which weights hardly changed takes the factors of the one before, up to so many times,
-# and ends at this share of its right side. In a small graph factors cost less.
+# Where weights hardly changed, a step is found with the factors of an earlier one, applied up to so
+# many times, to this share of its right side. In a small graph new factors cost less.
 _MOST_REPEATS, _REST = 30, 1e-8
 _WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.

@@ -96,11 +96,8 @@ class FrameLog:
         self._segments.append(tracked.segment)
         self._newest_ids.append(newest_id)
         self._covered.append(tracked.covered)
-        for column, T in (
-            (self._T_kf_cam, tracked.T_kf_cam),
-            (self._T_odom_cam, tracked.T_odom_cam),
-        ):
-            column.frombytes(np.asarray(T, np.float64).tobytes())
+        self._T_kf_cam.frombytes(np.asarray(tracked.T_kf_cam, np.float64).tobytes())
+        self._T_odom_cam.frombytes(np.asarray(tracked.T_odom_cam, np.float64).tobytes())
         for link in tracked.links:
             self._T_ref_kf[newest_id, link.ref_id] = link.motion.T_ref_query
 
@@ -154,7 +151,7 @@ class FrameLog:
         starts = np.concatenate([np.zeros(1, np.int64), ends])[:-1]
         spans = zip(ids[starts].tolist(), ids[ends].tolist(), strict=True)
         motions = [self._T_ref_kf.get((end, start)) for start, end in spans]
-        # How many frames from the first on were placed against another keyframe than the one before.
+        # How many frames until each were placed against another keyframe than the one before them.
         changes = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.diff(ids) != 0)])
         is_bent = (ends - starts >= 2) & (changes[ends - 1] == changes[starts])
         is_bent &= np.array([each is not None for each in motions], bool)
