@@ -53,6 +53,13 @@ class PlaceIndex:
             self._bounds.add(embedding)
         return len(self._rows) - 1
 
+    def select(self, ids: NDArray[np.int64]) -> "PlaceIndex":
+        """Return an index of these places alone, in their order."""
+        chosen = type(self)(self._comparer)
+        for k in ids:
+            chosen.add(self._rows[k])
+        return chosen
+
     def query(
         self, embedding: Embeddings, count: int, among: NDArray[np.bool_] | None = None
     ) -> tuple[NDArray[np.int64], Similarities]:

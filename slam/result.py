@@ -20,8 +20,9 @@ def compared(count: int) -> range:
     """Return which of so many keyframes a result compares, all with each other.
 
     They are every n-th: as many as can be told apart in a picture, and enough for shares of pairs.
+    Of more keyframes n is twice as large, so that those once left out stay so.
     """
-    return range(0, count, max(1, -(-count // _MOST_COMPARED)))
+    return range(0, count, 1 << max(0, -(-count // _MOST_COMPARED) - 1).bit_length())
 
 
 @dataclass(frozen=True)

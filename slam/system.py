@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
-from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from slam.loops.final_adjustment import adjusted
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult, compared
 from slam.stage_clock import StageClock
-from slam.tracking.frame_log import FrameLog, LoggedFrame, check_frame
+from slam.tracking.frame_log import FrameLog, LoggedFrames, check_frame
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
@@ -297,7 +296,7 @@ class Slam:
             frames = frames.along(self._external.camera_poses, stamps_s, loops.trust.doubted)
         trajectory = frames.trajectory(T_world_kf)
         odometry = self._frames.live(
-            T_world_kf, lambda frame: T_odom_segment[frame.segment] @ frame.T_odom_cam
+            T_world_kf, lambda frames: _in_one_frame(frames, T_odom_segment)
         )
         result_of_given = None
         if self._external:
@@ -393,14 +392,20 @@ class Slam:
         corrections = self._back_end.corrections
         T_given_cam = self._external.poses_as_asked(self._frames.placed_s)
 
-        def T_world_cam(frame: LoggedFrame) -> FloatArray | None:
-            known = bisect_right(corrections, frame.newest_id, key=lambda each: each.newest_id)
-            correction = corrections[known - 1]
-            T_odom_cam = T_given_cam.get(frame.timestamp_s)
-            if T_odom_cam is not None and correction.T_world_given is not None:
-                return correction.T_world_given @ T_odom_cam
-            T_world_odom = correction.T_world_odom.get(frame.segment)
-            return None if T_world_odom is None else T_world_odom @ frame.T_odom_cam
+        newest_ids = np.array([each.newest_id for each in corrections])
+
+        def T_world_cam(frames: LoggedFrames) -> FloatArray:
+            T = np.full((len(frames.timestamps_s), 4, 4), np.nan)
+            known = np.searchsorted(newest_ids, frames.newest_id, side="right") - 1
+            for number in np.unique(known):
+                correction, some = corrections[number], known == number
+                T[some] = _in_one_frame(frames.select(some), correction.T_world_odom)
+                if T_given_cam and correction.T_world_given is not None:
+                    for n in np.flatnonzero(some):
+                        T_odom_cam = T_given_cam.get(float(frames.timestamps_s[n]))
+                        if T_odom_cam is not None:
+                            T[n] = correction.T_world_given @ T_odom_cam
+            return T
 
         return self._frames.live(T_world_kf, T_world_cam)
 
@@ -413,3 +418,12 @@ class Slam:
         if not self._is_smoothed:
             return trajectory
         return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
+
+
+def _in_one_frame(frames: LoggedFrames, T_any_odom: Mapping[int, FloatArray]) -> FloatArray:
+    """Return the (N, 4, 4) poses of frames as tracked, NaN for segments that are not known."""
+    T = np.full((len(frames.timestamps_s), 4, 4), np.nan)
+    for segment, T_any_segment in T_any_odom.items():
+        some = frames.segment == segment
+        T[some] = T_any_segment @ frames.T_odom_cam[some]
+    return T

@@ -127,13 +127,18 @@ def _bad_stretches(motions: Sequence[Link], path: GivenPath) -> tuple[int, ...]:
     """Return those that a step leads to over which most of what the images say contradicts it."""
     squared, ends = _in_usual_units(motions, path)
     lags = ends[:, 1] - ends[:, 0]
-    is_short = (lags > 1) & (lags <= _STRETCH)
+    short = np.flatnonzero((lags > 1) & (lags <= _STRETCH))
+    short = short[np.argsort(ends[short, 0], kind="stable")]
+    squared, ends = squared[short], ends[short]
+    rows = np.arange(len(path.ids))
+    begin, end = (np.searchsorted(ends[:, 0], each) for each in (rows - _STRETCH, rows))
     doubted = []
     for row in range(1, len(path.ids)):
-        is_over = is_short & (ends[:, 0] < row) & (row <= ends[:, 1])
-        over = squared[is_over]
+        near = slice(begin[row], end[row])  # those that start before it, and not long before
+        is_over = row <= ends[near, 1]
+        over = squared[near][is_over]
         # Motions of one image are wrong together: it takes more than one at either end.
-        is_of_one = any(len(np.unique(each)) < 2 for each in ends[is_over].T)
+        is_of_one = any(len(np.unique(each)) < 2 for each in ends[near][is_over].T)
         if len(over) < _MIN_OVER or is_of_one:
             continue
         if np.sort(over)[(len(over) - 1) // 2] > _BAD_STRETCH:

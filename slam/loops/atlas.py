@@ -3,7 +3,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -119,8 +119,9 @@ class Atlas:
             if loop.ref_id in largest.T_submap_kf and loop.query_id in largest.T_submap_kf
         }
         inside = largest.T_submap_kf
+        T_world_kf = T_world_submap @ np.array(list(inside.values()))
         graph = PoseGraph(
-            {k: T_world_submap @ T for k, T in inside.items()},
+            dict(zip(inside, T_world_kf, strict=True)),
             tuple(largest.links),
             _shared_out(loops),
             tuple(each for each in steps if each.ref_id in inside and each.query_id in inside),
@@ -142,18 +143,23 @@ class Atlas:
 
     def _submaps(self, steps: Sequence[Link]) -> list[Submap]:
         submaps: dict[int, Submap] = {}
-        for keyframe in self._keyframes:
+        T_odom_kf = np.array(self._T_odom_kf).reshape(-1, 4, 4)
+        for keyframe, T in zip(self._keyframes, T_odom_kf, strict=True):
             submap = submaps.setdefault(keyframe.segment, Submap({}, []))
-            submap.T_submap_kf[keyframe.id] = self._T_odom_kf[keyframe.id]
-        for link in self._links:
-            T_odom_ref, T_odom_query = (self._T_odom_kf[k] for k in (link.ref_id, link.query_id))
-            motion = replace(link.motion, T_ref_query=se3.inverse(T_odom_ref) @ T_odom_query)
+            submap.T_submap_kf[keyframe.id] = T
+        ends = np.array([(link.ref_id, link.query_id) for link in self._links], np.int64)
+        ref, query = ends.reshape(-1, 2).T
+        T_ref_query = se3.inverse(T_odom_kf[ref]) @ T_odom_kf[query]
+        for link, T in zip(self._links, T_ref_query, strict=True):
+            motion = RelativePose(T, link.motion.information)
             segment = self._keyframes[link.ref_id].segment
-            submaps[segment].links.append(replace(link, motion=motion))
+            submaps[segment].links.append(Link(link.ref_id, link.query_id, motion))
         return joined(joined_by_steps(list(submaps.values()), steps), self._loops.values())
 
     def _unjoined(self, submaps: Sequence[Submap], largest: Submap) -> dict[int, int]:
         """Return per loop not within the largest at how many places its submap is tied to that."""
+        if len(submaps) == 1:
+            return {}
         number_of = submap_of(submaps)
         pairs = {
             key: {number_of[loop.ref_id], number_of[loop.query_id]}
@@ -170,13 +176,12 @@ def _shared_out(loops: Mapping[int, Loop]) -> dict[int, Link]:
     What bends the query's image is in all of its loops: they repeat its error, not correct it.
     """
     count = Counter(loop.query_id for loop in loops.values())
-    return {
-        key: replace(
-            loop,
-            motion=replace(loop.motion, information=loop.motion.information / count[loop.query_id]),
-        )
-        for key, loop in loops.items()
-    }
+    shared = {}
+    for key, loop in loops.items():
+        information = loop.motion.information / count[loop.query_id]
+        motion = RelativePose(loop.motion.T_ref_query, information)
+        shared[key] = Link(loop.ref_id, loop.query_id, motion)
+    return shared
 
 
 def odometry_frames(keyframes: Sequence[Keyframe], links: Sequence[Link]) -> dict[int, FloatArray]:

@@ -20,7 +20,7 @@ from slam.loops.correction import Correction
 from slam.loops.cost_of_odometry import borne_out
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
-from slam.pose_graph import GraphSolution, PoseGraph, solve, solve_beside
+from slam.pose_graph import GraphSolution, PoseGraph, solve_beside
 from slam.stage_clock import StageClock
 from slam.types import (
     Camera,
@@ -37,6 +37,8 @@ _LOOP_GROWTH = 0.1
 # An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
 # more as that share.
 _JUDGED_AFTER = 1
+# Of the candidates of so many keyframes it is kept which pixels matched, and of the last ones.
+_SHOWN_WITH_EVIDENCE, _RECENT = 500, 1000
 _log = logging.getLogger(__name__)
 
 
@@ -90,10 +92,12 @@ class BackEnd:
         self._solved_loops: Counter[int] = Counter()  # per segment of the later keyframe
         self._judged_id = -1
         self._solving: list[Future[None]] = []
+        self._solved: Mapping[int, FloatArray] = {}  # what the last correction was made of
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: Exception | None = None  # nothing after it is taken in
         self.attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
+        self._evidence_from: int | None = None  # the first attempt that may have to lose it
         self.corrections = [Correction(0, -1, {}, {})]
 
     @property
@@ -231,7 +235,9 @@ class BackEnd:
         return largest, self._atlas.largest(frames, with_given=False)
 
     def _solve(self, graph: PoseGraph) -> GraphSolution:
-        return solve(graph, self._inlier_probability)
+        from slam.pose_graph import solve  # GTSAM, which only the end needs
+
+        return solve(replace(graph, solved=self._solved), self._inlier_probability)
 
     def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:
@@ -273,6 +279,8 @@ class BackEnd:
             self._atlas.give({keyframe.id: given})
         self.keyframes.append(keyframe)
         self.attempts.extend(attempts)
+        if len(self.keyframes) > _SHOWN_WITH_EVIDENCE:
+            self._forget_evidence()
         for attempt in attempts:
             if attempt.rejection is None:
                 _log.info("keyframe %d sees keyframe %d again", attempt.query_id, attempt.match_id)
@@ -285,13 +293,29 @@ class BackEnd:
             self._solving.append(self._solver.submit(self._correct, keyframe.id, *self._largest()))
         return attempts
 
+    def _forget_evidence(self) -> None:
+        """Forget which pixels matched where a journal has it by now: of no more than can be shown.
+
+        A match takes 60 bytes, and what a keyframe's candidates show takes as much as the keyframe.
+        """
+        if self._evidence_from is None:
+            self._evidence_from = len(self.attempts)
+        for k in range(self._evidence_from, len(self.attempts) - _RECENT):
+            if seen := self.attempts[k].verification:
+                self.attempts[k] = replace(self.attempts[k], verification=seen.without_evidence)
+            self._evidence_from = k + 1
+
     def _is_due(self, keyframe: Keyframe, given: GivenKeyframe | None) -> bool:
         new = keyframe.id - self._judged_id
         return given is not None and new > _JUDGED_AFTER + _LOOP_GROWTH * keyframe.id
 
     def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):
-            largest, solution = borne_out(
-                largest, by_images, lambda graph: solve_beside(graph, self._inlier_probability)
-            )
-        self.corrections.append(largest.correction(self.corrections[-1], newest_id, solution))
+            largest, solution = borne_out(largest, by_images, self._solve_beside)
+        self._solved, before = solution.T_world_kf, self.corrections[-1]
+        self.corrections.append(largest.correction(before, newest_id, solution))
+        if largest.graph.is_large:  # each has all keyframes again, and the newest alone is asked
+            self.corrections[-2] = replace(before, T_world_kf={})
+
+    def _solve_beside(self, graph: PoseGraph) -> GraphSolution:
+        return solve_beside(replace(graph, solved=self._solved), self._inlier_probability)

@@ -51,9 +51,10 @@ class Correction:
                     np.array([T_world_kf[k] for k in common]),
                 )
         T_world_given = self.T_world_given
+        T_world_kf = T_world_start @ np.array(list(self.T_world_kf.values())).reshape(-1, 4, 4)
         return replace(
             self,
-            T_world_kf={k: T_world_start @ T for k, T in self.T_world_kf.items()},
+            T_world_kf=dict(zip(self.T_world_kf, T_world_kf, strict=True)),
             T_world_odom={k: T_world_start @ T for k, T in self.T_world_odom.items()},
             T_world_given=None if T_world_given is None else T_world_start @ T_world_given,
             T_world_start=T_world_start,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.certificate import certificate_of
-from placerec.checked_recognizer import CheckedRecognizer
+from placerec.checked_recognizer import COSINES, CheckedRecognizer
 from placerec.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
@@ -16,10 +16,12 @@ from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
 from slam.loops.known_distances import KnownDistances
+from slam.loops.novelty import Novelty
 from slam.loops.second_look import SecondLook
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
     Camera,
+    IntArray,
     Keyframe,
     LoopAttempt,
     Rejection,
@@ -55,6 +57,11 @@ class LoopCloser:
         self._segments = array("q")  # of each keyframe
         self._linked_ids: list[Sequence[int]] = []  # to each keyframe
         self._index = PlaceIndex(self._recognizer.comparer)
+        self._places = array("q")  # the keyframe behind each entry of the index
+        # Where the recognizer compares by itself, what it compares with may have to be complete.
+        is_free = self._recognizer.comparer is COSINES
+        self._novelty = Novelty(camera) if is_free else None
+        self._shown: dict[int, NDArray[np.float32]] = {}  # embeddings of the `compared` keyframes
         self._second_look = SecondLook(camera, self._recognizer, loop_config.candidates)
         chosen = loop_config.min_similarity
         own = self._recognizer.min_similarity
@@ -85,19 +92,45 @@ class LoopCloser:
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        is_candidate = self._is_candidate(len(self._keyframes), keyframe.segment, linked_ids)
+        number = len(self._keyframes)
+        places = np.array(self._places, np.int64)
+        is_candidate = self._is_candidate(places, number, keyframe.segment, linked_ids)
         wanted = max(self._loop_config.second_look, self._loop_config.candidates)
         ids, similarities = self._index.query(embedding, wanted, is_candidate)
         # The best of those that are not similar enough answers "why was there no loop?".
         count = max(1, int(np.count_nonzero(similarities >= self.min_similarity)))
-        matches = [self._keyframes[match_id] for match_id in ids[:count]]
+        matches = [self._keyframes[match_id] for match_id in places[ids[:count]]]
         attempts = self._look_again(keyframe, matches, similarities[:count])
         self._adapt(keyframe, embedding, is_candidate)
         self._keyframes.append(keyframe)
         self._segments.append(keyframe.segment)
         self._linked_ids.append(tuple(linked_ids))
-        self._index.add(embedding)
+        self._remember(keyframe, embedding, attempts)
         return attempts
+
+    def _remember(
+        self,
+        keyframe: Keyframe,
+        embedding: NDArray[np.float32],
+        attempts: Sequence[LoopAttempt],
+    ) -> None:
+        """Add a keyframe to the index, unless it shows nothing new of a place in a large map."""
+        if self._novelty is None:
+            self._places.append(keyframe.id)
+            self._index.add(embedding)
+            return
+        shown = compared(len(self._keyframes))
+        if keyframe.id in shown:
+            self._shown[keyframe.id] = embedding
+        if len(self._shown) > len(shown):
+            self._shown = {k: each for k, each in self._shown.items() if k in shown}
+        if self._novelty.is_new(keyframe, attempts):
+            self._places.append(keyframe.id)
+            self._index.add(embedding)
+        if (kept := self._novelty.chosen()) is not None:
+            chosen = np.isin(np.array(self._places), kept)
+            self._places = array("q", np.array(self._places, np.int64)[chosen].tolist())
+            self._index = self._index.select(np.flatnonzero(chosen))
 
     def most_similar(
         self, embedding: NDArray[np.float32], but_segment: int | None = None
@@ -109,14 +142,19 @@ class LoopCloser:
         Raises:
             RecognizerError: the recognizer compares its embeddings itself, and failed.
         """
-        segments = np.array(self._segments, np.int64)
+        places = np.array(self._places, np.int64)
+        segments = np.array(self._segments, np.int64)[places]
         is_other = np.ones(len(segments), bool) if but_segment is None else segments != but_segment
         ids, similarities = self._index.query(embedding, self._loop_config.candidates, is_other)
-        return [int(k) for k in ids[similarities >= self.min_similarity]]
+        return [int(k) for k in places[ids[similarities >= self.min_similarity]]]
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""
-        return self._index.similarities(compared(len(self._keyframes)).step)
+        shown = compared(len(self._keyframes))
+        if self._novelty is None or not shown:
+            return self._index.similarities(shown.step)
+        embeddings = np.stack([self._shown[k] for k in shown])
+        return COSINES.compare(embeddings, embeddings)
 
     def calibration(self, similarities: NDArray[np.float32]) -> Calibration | None:
         """Return where the recognizer's threshold comes from and what it met, None if unknown.
@@ -127,16 +165,16 @@ class LoopCloser:
             return None
         pairs, shown = [np.empty(0, np.float32)], compared(len(self._keyframes))
         for k, row in zip(shown, similarities, strict=True):
-            looked_at = self._is_candidate(k, self._segments[k], self._linked_ids[k])[:: shown.step]
+            before = np.arange(0, k, shown.step)
+            looked_at = self._is_candidate(before, k, self._segments[k], self._linked_ids[k])
             pairs.append(row[: len(looked_at)][looked_at])
         return Calibration(self._certificate, np.concatenate(pairs), shown.step)
 
     def _is_candidate(
-        self, number: int, segment: int, linked_ids: Sequence[int]
+        self, numbers: IntArray, number: int, segment: int, linked_ids: Sequence[int]
     ) -> NDArray[np.bool_]:
-        """Return (number,), which keyframes the one with a number may close a loop with."""
-        is_other = np.array(self._segments, np.int64)[:number] != segment
-        numbers = np.arange(number)
+        """Return which of (N,) earlier keyframes the one with a number may close a loop with."""
+        is_other = np.array(self._segments, np.int64)[numbers] != segment
         is_old_enough = numbers < number + 1 - self._loop_config.min_gap
         return np.asarray(is_other | (is_old_enough & ~np.isin(numbers, linked_ids)))
 
@@ -153,7 +191,7 @@ class LoopCloser:
         """Learn from a keyframe how alike views of one place, and of different ones, are here."""
         if self._adaptive is None:
             return
-        known = self._known.add(keyframe)
+        known = self._known.add(keyframe)[np.array(self._places, np.int64)]
         distances = np.where(np.isnan(known) & ~is_candidate, np.inf, known)
         unknown = np.flatnonzero(np.isnan(distances))
         is_met = distances < 1.0

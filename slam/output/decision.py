@@ -66,7 +66,7 @@ class Decision:
     def matches(self) -> int | None:
         """Number of descriptor matches, None where geometry was not asked."""
         check = self.attempt.verification
-        return None if check is None else len(check.pixels)
+        return None if check is None else len(check.inlier_mask)
 
     @property
     def inliers(self) -> int | None:

@@ -109,7 +109,7 @@ def attempt_line(attempt: LoopAttempt) -> Line:
         line["motion"] = _of_motion(attempt.motion)
     if seen := attempt.verification:
         line["is_inlier"] = "".join(str(int(each)) for each in seen.inlier_mask)
-        if not rejection:
+        if not rejection and len(seen.points_ref_m):
             line["points_m"] = np.round(seen.points_ref_m[seen.inlier_mask], 6).tolist()
     return {key: _plain(value) for key, value in line.items()}
 

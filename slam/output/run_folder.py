@@ -19,7 +19,6 @@ from slam.output.freed_memory import give_back
 from slam.output.ledger import write_ledger
 from slam.output.point_cloud import write_map
 from slam.output.summary import summarise
-from slam.pose_graph import write_g2o
 from slam.result import GivenOdometry, SlamResult
 from slam.types import Link, RelativePose, SlamError, Trajectory
 
@@ -169,6 +168,8 @@ def _write_graph(path: Path, result: SlamResult) -> None:
         if isinstance(attempt.outcome, RelativePose)
     ]
     steps = result.given.steps if result.given else ()
+    from slam.pose_graph import write_g2o
+
     write_g2o(path, result.T_world_kf, [*result.links, *steps, *loops])
 
 

@@ -116,11 +116,18 @@ def contested_motions(
         softened.replace(i, factor.cloneWithNewNoiseModel(noise))
     reweighted = gtsam.LevenbergMarquardtOptimizer(softened, initial).optimize()
     second = factor_errors(graph, reweighted)[doubted] / limits
-    kept = solution.weights[doubted] > MIN_TRUSTED_WEIGHT
+    return contested(solution.weights[doubted] > MIN_TRUSTED_WEIGHT, first, second)
+
+
+def contested(kept: NDArray[np.bool_], first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
+    """Return which of D motions two estimators see clearly differently; the first keeps some.
+
+    The (D,) squared errors are in units of the limit.
+    """
     return np.where(kept, second > _CLEARLY_OUT, (second < 1.0) & (first > _CLEARLY_OUT))
 
 
-def doubts(kept: NDArray[np.bool_], contested: NDArray[np.bool_]) -> tuple[str, ...]:
+def doubts(kept: NDArray[np.bool_], doubted: NDArray[np.bool_]) -> tuple[str, ...]:
     """Return a sentence if all loops were rejected, or a second estimator sees some otherwise.
 
     The (L,) bool masks tell which loops the robust solve believes, and which are contested.
@@ -130,9 +137,9 @@ def doubts(kept: NDArray[np.bool_], contested: NDArray[np.bool_]) -> tuple[str, 
             f"all {len(kept)} loops contradict the odometry or each other and were left out, so "
             f"the trajectory is the odometry's; {_ADVICE}",
         )
-    if not contested.any():
+    if not doubted.any():
         return ()
     return (
-        f"two robust estimators disagree on {contested.sum()} of {len(kept)} loops "
-        f"({kept.sum()} were kept, {(contested & kept).sum()} of them contested); {_ADVICE}",
+        f"two robust estimators disagree on {doubted.sum()} of {len(kept)} loops "
+        f"({kept.sum()} were kept, {(doubted & kept).sum()} of them contested); {_ADVICE}",
     )

@@ -116,6 +116,20 @@ def test_equal_places_tie_and_the_earlier_one_is_first(places, size):
     assert len(set(similarities.tolist())) == 1
 
 
+def test_selected_places_answer_as_if_they_were_alone():
+    rng = np.random.default_rng(0)
+    rows, query = _unit(rng, 30, 8), _unit(rng, 1, 8)[0]
+    whole, alone, ids = PlaceIndex(), PlaceIndex(), np.array([3, 7, 20, 21])
+    for row in rows:
+        whole.add(row)
+    for row in rows[ids]:
+        alone.add(row)
+    chosen = whole.select(ids)
+    for found, expected in zip(chosen.query(query, 3), alone.query(query, 3), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert len(chosen) == 4 and len(whole) == 30
+
+
 def test_an_empty_index_and_nothing_to_look_at_find_nothing():
     index = PlaceIndex()
     unit = np.float32([1.0, 0.0])

@@ -65,7 +65,7 @@ def picture(loop: Decision, camera: Camera) -> str:
 
 def _draw_matches(canvas: Image.Image, loop: Decision, camera: Camera) -> None:
     check = loop.attempt.verification
-    if check is None:
+    if check is None or not len(check.pixels):
         return
     half = canvas.width / 2
     scale = np.array([half / camera.width, canvas.height / camera.height] * 2)

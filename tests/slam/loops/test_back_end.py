@@ -177,6 +177,40 @@ def test_corrections_come_by_themselves_one_after_the_other(keyframes):
     np.testing.assert_allclose(T_world_last, behind.solve({}).T_world_kf[3], atol=1e-3)
 
 
+def test_a_large_map_is_corrected_and_solved_from_its_last_correction(keyframes, monkeypatch):
+    monkeypatch.setattr("slam.pose_graph.graph._SMALL", 2)
+    started = []
+
+    def beside(graph, probability):
+        started.append(list(graph.solved))
+        return solve_beside(graph, probability)
+
+    monkeypatch.setattr("slam.loops.back_end.solve_beside", beside)
+    behind = back_end(Gate(), min_gap=2)
+    for keyframe, tie, rgb in drifting(keyframes):
+        behind.insert(keyframe, tie, {}, rgb)
+    behind.catch_up()
+    assert started == [[], [0, 1, 2]]
+    assert [list(each.T_world_kf) for each in behind.corrections] == [[], [], [0, 1, 2, 3]]
+    newest = behind.corrections[-1]
+    np.testing.assert_allclose(newest.T_world_kf[3], behind.solve({}).T_world_kf[3], atol=1e-6)
+
+
+def test_a_large_map_forgets_what_older_candidates_show(keyframes, monkeypatch):
+    monkeypatch.setattr("slam.loops.back_end._SHOWN_WITH_EVIDENCE", 2)
+    monkeypatch.setattr("slam.loops.back_end._RECENT", 1)
+    behind = back_end(Gate(), min_gap=1)
+    for keyframe, rgb in keyframes:
+        behind.insert(keyframe, links(keyframe), {}, rgb)
+    behind.catch_up()
+    seen = [each.verification for each in behind.attempts]
+    assert [each.query_id for each in behind.attempts] == [2, 3, 3]
+    assert [len(each.pixels) > 0 for each in seen] == [True, False, True]
+    # How many matches there were, and that they agree, stays on record.
+    assert [len(each.inlier_mask) for each in seen] == 3 * [len(seen[0].pixels)]
+    assert in_use(behind.solve({})) == [(0, 2), (0, 3), (1, 3)]
+
+
 def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
     is_let = threading.Event()
 

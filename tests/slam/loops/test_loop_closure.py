@@ -477,3 +477,27 @@ def test_a_second_look_is_not_taken_at_what_is_not_similar(views):
     loop_closer.close(keyframe(0, views.reference), direction(90))
     (attempt,) = loop_closer.close(keyframe(1, views.query), direction(0))
     assert attempt.outcome.reason is RejectionReason.LOW_SIMILARITY
+
+
+def test_in_a_large_map_known_places_are_no_candidates_any_more(views, monkeypatch):
+    monkeypatch.setattr("slam.loops.novelty._ALL_KEPT", 6)
+    loop_closer = closer(camera=views.camera, candidates=10)
+    attempts = run(loop_closer, views, [0] * 9)
+    assert [len(each) for each in attempts[:6]] == [0, 1, 2, 3, 4, 5]
+    # From the third on, two others show all that each of them does.
+    assert [pairs(each) for each in attempts[6:]] == [[(k, 0), (k, 1)] for k in (6, 7, 8)]
+    assert loop_closer.similarities().shape == (9, 9)
+    assert loop_closer.most_similar(direction(0)) == [0, 1]
+    (only,) = loop_closer.close(keyframe(9, views.reference, 9.0), direction(90))
+    assert only.rejection.reason is RejectionReason.LOW_SIMILARITY
+    new = loop_closer.close(keyframe(10, views.reference, 10.0), direction(90))
+    assert pairs(new) == [(10, 9)]
+
+
+def test_where_the_recognizer_compares_every_place_stays_a_candidate(views, monkeypatch):
+    monkeypatch.setattr("slam.loops.novelty._ALL_KEPT", 2)
+    loop_closer = closer(Levels(), camera=views.camera, candidates=10)
+    for number in range(4):
+        new = keyframe(number, views.reference, 10.0 * number)
+        attempts = loop_closer.close(new, np.zeros((1, 1), np.float32))
+    assert pairs(attempts) == [(3, 0), (3, 1), (3, 2)]

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import splu
 
 from slam.geometry import se3
 from slam.pose_graph import GraphSolution, PoseGraph, solve, solve_beside
+from slam.pose_graph.large import solve_large
+from slam.pose_graph.motion_system import MotionSystem
 from slam.pose_graph.robust import solve_robustly
 from slam.types import FloatArray, Link, RelativePose
 
@@ -75,10 +78,14 @@ def kept(solution: GraphSolution) -> set[int]:
     return {key for key, weight in solution.weights.items() if weight > 0.5}
 
 
-@pytest.fixture(params=[solve, solve_beside])
+@pytest.fixture(params=[solve, solve_beside, solve_large])
 def any_solve(request):
-    """Return either way to solve a graph, at the default share of true loops to keep."""
-    return lambda graph: request.param(graph, PROBABILITY)
+    """Return every way to solve a graph, at the default share of true loops to keep."""
+    if request.param is not solve_large:
+        return lambda graph: request.param(graph, PROBABILITY)
+    return lambda graph: (
+        solve_large(graph, PROBABILITY) if graph.loops else solve_beside(graph, 0.9)
+    )
 
 
 def test_loops_pull_the_drift_back(walk: Walk, any_solve) -> None:
@@ -104,6 +111,77 @@ def test_what_is_found_beside_tracking_is_what_is_found_in_the_end(walk, false_e
     assert kept(beside) == kept(end)
     for k, T_world_kf in end.T_world_kf.items():
         np.testing.assert_allclose(beside.T_world_kf[k], T_world_kf, atol=1e-4)
+
+
+@pytest.mark.parametrize("false_every", [0, 2, 5])
+def test_a_large_graph_is_solved_as_gtsam_solves_it(walk, monkeypatch, false_every) -> None:
+    graph = walk.graph(loops_of(walk, false_every)[0])
+    by_gtsam = solve(graph, PROBABILITY)
+    monkeypatch.setattr("slam.pose_graph.graph._SMALL", 30)
+    monkeypatch.setattr("slam.pose_graph.weighing.solve_robustly", None)  # not asked
+    found = solve(graph, PROBABILITY)
+    assert kept(found) == kept(by_gtsam) and found.warnings == by_gtsam.warnings
+    for k, T_world_kf in by_gtsam.T_world_kf.items():
+        np.testing.assert_allclose(found.T_world_kf[k], T_world_kf, atol=1e-6)
+
+
+def test_a_large_graph_goes_on_from_where_it_was_solved(walk, monkeypatch) -> None:
+    monkeypatch.setattr("slam.pose_graph.graph._SMALL", 30)
+    graph = walk.graph(loops_of(walk, 5)[0])
+    known = dict(list(enumerate(np.array(walk.T_world_cam)))[:50])
+    aside = se3.exp(np.array([0.1, 0.0, 0.2, 1.0, 2.0, 3.0]))  # it counted from somewhere else
+    again = replace(graph, solved={k: aside @ T for k, T in known.items()})
+    system = MotionSystem(again)
+    assert system.is_solved and not MotionSystem(graph).is_solved
+    T_begin = walk.dead_reckoning()
+    T_start = T_begin[0] @ se3.inverse(known[0]) @ np.array(list(known.values()))
+    np.testing.assert_allclose(system.T_start[:50], T_start, atol=1e-12)
+    onwards = se3.inverse(T_begin[49]) @ T_begin[50:]
+    np.testing.assert_allclose(system.T_start[50:], T_start[49] @ onwards, atol=1e-12)
+    np.testing.assert_array_equal(MotionSystem(graph).T_start, T_begin)
+    first, second = (solve(each, PROBABILITY) for each in (graph, again))
+    assert kept(first) == kept(second)
+    for k in first.T_world_kf:
+        np.testing.assert_allclose(first.T_world_kf[k], second.T_world_kf[k], atol=1e-7)
+        np.testing.assert_allclose(graph.T_world_kf[0], second.T_world_kf[0], atol=1e-9)
+
+
+def test_factors_of_an_earlier_step_lead_where_new_ones_do(walk, monkeypatch) -> None:
+    graph = walk.graph(loops_of(walk, 5)[0])
+    exact = solve_large(graph, PROBABILITY)
+    monkeypatch.setattr("slam.pose_graph.motion_system._WORTH_REUSING", 0)
+    factorised = []
+
+    def counted(*asked, **how):
+        factorised.append(1)
+        return splu(*asked, **how)
+
+    monkeypatch.setattr("slam.pose_graph.motion_system.splu", counted)
+    steps = []
+    step = MotionSystem.step
+    monkeypatch.setattr(MotionSystem, "step", lambda *asked: steps.append(1) or step(*asked))
+    found = solve_large(graph, PROBABILITY)
+    assert len(factorised) - 1 < 0.5 * len(steps)  # one of them is for the order
+    assert kept(found) == kept(exact)
+    for k in exact.T_world_kf:
+        np.testing.assert_allclose(found.T_world_kf[k], exact.T_world_kf[k], atol=1e-7)
+
+
+def test_loops_of_a_long_drift_are_not_given_up_while_the_cost_is_convex() -> None:
+    """So far off are most of them at first that all weights are small."""
+    rng, rounds, per_round = np.random.default_rng(3), 12, 20
+    turn = se3.exp(np.array([0.0, 2.0 * np.pi / per_round, 0.0, 0.5, 0.0, 0.0]))
+    walk = Walk([np.eye(4)], [], rng)
+    for k in range(rounds * per_round - 1):
+        walk.T_world_cam.append(walk.T_world_cam[-1] @ turn)
+        drifting = se3.exp(rng.normal(size=6) * SIGMAS + np.array([0.004, 0, 0.004, 0, 0, 0]))
+        walk.links.append(Link(k, k + 1, RelativePose(turn @ drifting, INFORMATION)))
+    loops = {
+        key: Link(key % per_round, query, walk.loop(key % per_round, query))
+        for key, query in enumerate(range(per_round, rounds * per_round))
+    }
+    found = solve_beside(walk.graph(loops), PROBABILITY)
+    assert len(kept(found)) > 0.9 * len(loops)
 
 
 def test_loops_that_contradict_nothing_are_believed(walk: Walk, any_solve) -> None:
@@ -177,8 +255,8 @@ def test_a_large_map_is_weighed_by_the_quick_schedule_alone(walk, monkeypatch, m
         asked.append(len(schedules))
         return solve_robustly(graph, initial, doubted, probability, schedules)
 
-    monkeypatch.setattr("slam.pose_graph.graph._MOST_FOR_LINEAR", most)
-    monkeypatch.setattr("slam.pose_graph.graph.solve_robustly", weigh)
+    monkeypatch.setattr("slam.pose_graph.weighing._MOST_FOR_LINEAR", most)
+    monkeypatch.setattr("slam.pose_graph.weighing.solve_robustly", weigh)
     weights = solve(walk.graph(loops_of(walk)[0]), PROBABILITY).weights
     assert asked == [schedules]
     assert np.mean(np.array(list(weights.values())) > 0.9) >= 0.8

@@ -96,16 +96,20 @@ def test_a_map_that_moves_as_a_whole_is_no_bend():
 def test_live_frames_stay_where_they_were_when_they_were_tracked(frames):
     asked = []
 
-    def corrected(frame):
-        asked.append((frame.segment, frame.newest_id))
-        return None if frame.segment else poses(1000.0)[0] @ frame.T_odom_cam
+    def corrected(frames):
+        asked.extend(zip(frames.segment.tolist(), frames.newest_id.tolist(), strict=True))
+        T = poses(1000.0)[0] @ frames.T_odom_cam
+        T[frames.segment != 0] = np.nan
+        return T
 
     live = frames.live(poses(0.0, 4.0, 7.0), corrected)
     assert live.timestamps_s.tolist() == [0.0, 1.0, 10.0, 11.0]
     assert live.T_world_cam[:, 0, 3].tolist() == [1100.0, 1100.5, 1101.0, 1101.5]
     assert asked == [(0, 0), (0, 0), (0, 1), (0, 1), (1, 2), (1, 2)]
     assert frames.segment == 1 and FrameLog().segment is None
-    nowhere = frames.live(poses(np.nan, np.nan, 7.0), lambda *_: None)
+    nowhere = frames.live(
+        poses(np.nan, np.nan, 7.0), lambda frames: np.full_like(frames.T_odom_cam, np.nan)
+    )
     assert nowhere.T_world_cam.shape == (0, 4, 4)
 
 

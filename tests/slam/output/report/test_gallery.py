@@ -42,6 +42,16 @@ def test_a_pair_without_verification_is_shown_plain(run) -> None:
     assert decode(picture(loop, run.result.camera)).shape == (180, 480, 3)
 
 
+def test_a_loop_of_a_large_map_is_shown_plain_and_its_matches_are_counted(run) -> None:
+    loop = next(one for one in decisions(run.result, None) if one.inliers)
+    bare = loop.attempt.verification.without_evidence
+    later = replace(loop, attempt=replace(loop.attempt, verification=bare))
+    assert later.matches == loop.matches and later.inliers == loop.inliers
+    unseen = replace(loop, attempt=replace(loop.attempt, verification=None))
+    camera = run.result.camera
+    assert picture(later, camera) == picture(unseen, camera) != picture(loop, camera)
+
+
 @pytest.mark.parametrize("limit", [0, 1, 10, 30, 1000])
 def test_the_choice_keeps_to_its_limit_and_repeats_nothing(run, limit: int) -> None:
     loops = decisions(run.result, run.drift)
