@@ -10,8 +10,9 @@ are where the camera goes round in places that it knows, and what its loops tie 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slam.types import Camera, FloatArray, IntArray, Keyframe, LoopAttempt
+from slam.types import Camera, IntArray, Keyframe, LoopAttempt
 
 _ALL_KEPT = 500
 """Keyframes of a map that is small enough to be adjusted at once: none of them is left out."""
@@ -53,7 +54,7 @@ class Novelty:
         seen_again = int(np.isin(shown, cells[by >= _SEEN_BY]).sum())
         return seen_again < _SEEN_SHARE * max(1, len(shown))
 
-    def _cells(self, pixels: FloatArray) -> IntArray:
+    def _cells(self, pixels: NDArray[np.floating]) -> IntArray:
         """Return the number of the part of the image that (N, 2) pixels are in."""
         cells = (pixels * (_CELLS / self._camera.width)).astype(np.int64)
         return np.asarray(cells[:, 0] + 1000 * cells[:, 1])

@@ -17,7 +17,6 @@ from slam import system
 from slam.config import Config, EvaluationConfig, KeyframesConfig, LoopConfig, MotionConfig
 from slam.evaluation.drift import compare_drift, trajectory_error
 from slam.geometry import se3
-from slam.loops import back_end
 from slam.mapping import map_adjustment
 from slam.pose_graph import solve
 from slam.system import Slam
@@ -92,7 +91,7 @@ def again(frames):
         return solve(graph, probability)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(back_end, "solve", spied)
+        patch.setattr("slam.pose_graph.solve", spied)
         return run(frames), graphs
 
 
