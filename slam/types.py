@@ -155,21 +155,23 @@ class Verification:
 
     Attributes:
         outcome: the motion, or why there is none.
-        pixels: (M, 4) float64, matched pixels [u_ref, v_ref, u_query, v_query] in the images; like
+        pixels: (M, 4) float32, matched pixels [u_ref, v_ref, u_query, v_query] in the images; like
             the points, (0, 4) of most loops in a large map.
         inlier_mask: (M,) bool, the matches that agree with the motion.
-        points_ref_m: (M, 3) float64, what the matches show, metres, reference camera frame.
+        points_ref_m: (M, 3) float32, what the matches show, metres, reference camera frame.
     """
 
     outcome: RelativePose | Rejection
-    pixels: FloatArray
+    pixels: NDArray[np.float32]
     inlier_mask: NDArray[np.bool_]
-    points_ref_m: FloatArray
+    points_ref_m: NDArray[np.float32]
 
     @property
     def without_evidence(self) -> "Verification":
         """The same without what the matches are, only how many; a sixtieth of the memory."""
-        return replace(self, pixels=np.zeros((0, 4)), points_ref_m=np.zeros((0, 3)))
+        return replace(
+            self, pixels=self.pixels[:0].copy(), points_ref_m=self.points_ref_m[:0].copy()
+        )
 
 
 MIN_TRUSTED_WEIGHT = 0.5

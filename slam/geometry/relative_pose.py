@@ -39,8 +39,7 @@ def estimate_relative_pose(
     pairs = pairs[has_depth if is_enough else is_placed]
     outcome, inlier_mask = _outcome(reference, query, pairs, camera, config)
     pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
-    points_m = reference.points_m[pairs[:, 0]].astype(np.float64)
-    return Verification(outcome, pixels.astype(np.float64), inlier_mask, points_m)
+    return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]])
 
 
 def _outcome(

@@ -83,7 +83,7 @@ class Atlas:
         self._links.extend(links)
         for key, attempt in attempts.items():
             if isinstance(attempt.outcome, RelativePose) and (seen := attempt.verification):
-                points_ref_m = seen.points_ref_m[seen.inlier_mask]
+                points_ref_m = seen.points_ref_m[seen.inlier_mask].astype(np.float64)
                 loop = Loop.of(attempt.match_id, attempt.query_id, attempt.outcome, points_ref_m)
                 self._loops[key] = loop
                 self.loops[keyframe.segment] += 1

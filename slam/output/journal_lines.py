@@ -110,7 +110,8 @@ def attempt_line(attempt: LoopAttempt) -> Line:
     if seen := attempt.verification:
         line["is_inlier"] = "".join(str(int(each)) for each in seen.inlier_mask)
         if not rejection and len(seen.points_ref_m):
-            line["points_m"] = np.round(seen.points_ref_m[seen.inlier_mask], 6).tolist()
+            points_m = seen.points_ref_m[seen.inlier_mask].astype(np.float64)
+            line["points_m"] = np.round(points_m, 6).tolist()
     return {key: _plain(value) for key, value in line.items()}
 
 
@@ -134,10 +135,11 @@ def attempt_of(line: Line) -> LoopAttempt:
     verification = None
     if "is_inlier" in line:
         mask = np.array([each == "1" for each in line["is_inlier"]], bool)
-        points_m = np.zeros((len(mask), 3))
+        points_m = np.zeros((len(mask), 3), np.float32)
         if "points_m" in line:
             points_m[mask] = line["points_m"]
-        verification = Verification(motion or outcome, np.zeros((len(mask), 4)), mask, points_m)
+        pixels = np.zeros((len(mask), 4), np.float32)
+        verification = Verification(motion or outcome, pixels, mask, points_m)
     return LoopAttempt(
         int(line["query"]),
         int(line["match"]),

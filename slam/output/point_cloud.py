@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fused point cloud of the corrected keyframes: drift that is left shows as doubled walls."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,14 @@ from slam.config import MapConfig
 from slam.geometry import se3
 from slam.geometry.features import back_project, undistort
 from slam.result import SlamResult
-from slam.types import PREVIEW_SCALE, FloatArray, IntArray
+from slam.types import PREVIEW_SCALE, FloatArray
 
 _STRIDE = 2  # every other preview pixel is dense enough for the usual voxels
 # A room seen from 1.5 m away is merged by the centimetre, and nothing further than 4 m is in it.
 _VOXEL, _MAX_DEPTH = 1.0 / 150.0, 2.5  # of the median depth
-_FEW = 100_000  # points, which are not worth being thinned
-_LARGEST = 1 << 62  # number that surely fits into 64 bits
+_FEW = 100_000  # numbers, which are not worth being sorted
+# What a step to the next voxel along each axis adds to a voxel's number, which wraps around.
+_ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
 @dataclass(frozen=True)
@@ -33,66 +33,69 @@ class PointCloud:
 
     points_m: FloatArray  # (N, 3)
     colours: NDArray[np.floating[Any]]
-    counts: NDArray[np.float32] | None = None  # (N,), of how many each is the mean; None: of itself
 
     def thinned(self, voxel_m: float) -> "PointCloud":
         """Return the means of the points and colours in each voxel."""
-        order, starts = _voxel_by_voxel(self.points_m, voxel_m)
-        ones = np.ones(len(order), np.float32)
-        counts = (ones if self.counts is None else self.counts)[order]
-        if len(order) == 0:
-            return PointCloud(self.points_m, self.colours, counts)
-        total = np.add.reduceat(counts, starts)
-
-        def means(values: NDArray[Any]) -> NDArray[Any]:
-            result = np.empty((len(starts), 3), values.dtype)
-            for i in range(3):  # all at once would take three times the memory
-                column = values[:, i].astype(np.float64)[order] * counts
-                np.divide(np.add.reduceat(column, starts), total, out=result[:, i])
-            return result
-
-        return PointCloud(means(self.points_m), means(self.colours), total)
-
-    @staticmethod
-    def joined(clouds: Sequence["PointCloud"]) -> "PointCloud":
-        """Return all of them, of which each was thinned, as one."""
-        counts = [each.counts for each in clouds if each.counts is not None]
-        return PointCloud(
-            np.concatenate([np.zeros((0, 3)), *(each.points_m for each in clouds)]),
-            np.concatenate([np.zeros((0, 3), np.float32), *(each.colours for each in clouds)]),
-            np.concatenate([np.zeros(0, np.float32), *counts]),
-        )
+        if len(self.points_m) == 0:
+            return self
+        numbers = _voxel_numbers(self.points_m, voxel_m)
+        means = _Means(np.unique(numbers))
+        means.add(numbers, self)
+        return means.cloud()
 
 
-def _voxel_by_voxel(points_m: FloatArray, voxel_m: float) -> tuple[IntArray, IntArray]:
-    """Return in which order points lie voxel by voxel, and where in it each voxel begins."""
-    if len(points_m) == 0:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    voxels = [np.floor(points_m[:, i] / voxel_m).astype(np.int64) for i in (2, 1, 0)]
-    spans = [int(np.ptp(axis)) + 1 for axis in voxels]
-    if math.prod(spans) < _LARGEST:  # one number tells all of it, and is sorted in a third of time
-        number = voxels.pop(0)
-        number -= number.min()
-        for span in spans[1:]:
-            axis = voxels.pop(0)
-            number *= span
-            number += axis - axis.min()
-        voxels = [number]
-    order = np.lexsort(voxels[::-1])
-    is_first = np.ones(len(order), dtype=bool)
-    is_first[1:] = np.any([np.diff(axis[order]) != 0 for axis in voxels], axis=0)
-    return order, np.flatnonzero(is_first)
+def _voxel_numbers(points_m: FloatArray, voxel_m: float) -> NDArray[np.uint64]:
+    """Return (N,) numbers that tell voxels apart, but for one in 10^8 of all maps."""
+    voxels = np.floor(points_m / voxel_m).astype(np.int64).view(np.uint64)
+    return np.asarray(voxels[:, 0] * _ODD[0] + voxels[:, 1] * _ODD[1] + voxels[:, 2] * _ODD[2])
+
+
+class _Means:
+    """The means of points and colours in the voxels with (N,) numbers, in increasing order."""
+
+    def __init__(self, numbers: NDArray[np.uint64]) -> None:
+        self._numbers = numbers
+        self._points_m = np.zeros((3, len(numbers)))
+        self._colours = np.zeros((3, len(numbers)), np.float32)
+        self._counts = np.zeros(len(numbers), np.float32)
+
+    def add(self, numbers: NDArray[np.uint64], cloud: PointCloud) -> None:
+        """Add a cloud's points, which are in the voxels with (M,) numbers."""
+        place = np.searchsorted(self._numbers, numbers)
+        np.add.at(self._counts, place, np.float32(1.0))
+        for i in range(3):
+            np.add.at(self._points_m[i], place, cloud.points_m[:, i])
+            np.add.at(self._colours[i], place, cloud.colours[:, i].astype(np.float32))
+
+    def cloud(self) -> PointCloud:
+        """Return the means; nothing can be added any more."""
+        self._points_m /= self._counts
+        self._colours /= self._counts
+        return PointCloud(self._points_m.T, self._colours.T)
 
 
 def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
     """Return one coloured cloud, metres, world frame: the mean of the points in each voxel."""
-    height, width = result.keyframes[0].preview.depth_m.shape
-    v, u = np.mgrid[0:height:_STRIDE, 0:width:_STRIDE].reshape(2, -1) / PREVIEW_SCALE
-    pixels = undistort(np.column_stack([u, v]).astype(np.float64), result.camera)
     usual_m = _median_depth_m(result)
     voxel_m = _VOXEL * usual_m if config.voxel_m is None else config.voxel_m
     max_depth_m = _MAX_DEPTH * usual_m if config.max_depth_m is None else config.max_depth_m
-    clouds = list[PointCloud]()  # the first is all until then
+    # Twice through the keyframes, so that not much more than the map is ever in memory.
+    numbers, more = np.zeros(0, np.uint64), list[NDArray[np.uint64]]()
+    for cloud in _clouds(result, voxel_m, max_depth_m):
+        more.append(_voxel_numbers(cloud.points_m, voxel_m))
+        if sum(map(len, more)) > max(len(numbers) // 2, _FEW):
+            numbers, more = np.unique(np.concatenate([numbers, *more])), []
+    means = _Means(np.unique(np.concatenate([numbers, *more])))
+    for cloud in _clouds(result, voxel_m, max_depth_m):
+        means.add(_voxel_numbers(cloud.points_m, voxel_m), cloud)
+    return means.cloud()
+
+
+def _clouds(result: SlamResult, voxel_m: float, max_depth_m: float) -> Iterator[PointCloud]:
+    """Yield what each keyframe saw, in the world, thinned first."""
+    height, width = result.keyframes[0].preview.depth_m.shape
+    v, u = np.mgrid[0:height:_STRIDE, 0:width:_STRIDE].reshape(2, -1) / PREVIEW_SCALE
+    pixels = undistort(np.column_stack([u, v]).astype(np.float64), result.camera)
     for keyframe, T_world_cam in zip(result.keyframes, result.T_world_kf, strict=True):
         if np.isnan(T_world_cam).any():  # in a part of the map that was not joined
             continue
@@ -102,16 +105,7 @@ def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
         seen = (depth_m > 0.0) & (depth_m <= max_depth_m)
         points_m = back_project(pixels[seen], depth_m[seen], result.camera)
         cloud = PointCloud(points_m, rgb[seen].astype(np.float32)).thinned(voxel_m)
-        # In the world each counts once, of however many it is the mean.
-        counts = np.ones(len(cloud.points_m), np.float32)
-        points_m = se3.transform(T_world_cam, cloud.points_m)
-        clouds.append(PointCloud(points_m, cloud.colours, counts))
-        # Memory stays as small as the map, which yet is gone through few times.
-        if sum(len(each.points_m) for each in clouds[1:]) > max(len(clouds[0].points_m) // 2, _FEW):
-            clouds = [PointCloud.joined(clouds)]
-            clouds = [clouds[0].thinned(voxel_m)]
-    clouds = [PointCloud.joined(clouds)]
-    return clouds[0].thinned(voxel_m)
+        yield PointCloud(se3.transform(T_world_cam, cloud.points_m), cloud.colours)
 
 
 def _median_depth_m(result: SlamResult) -> float:
@@ -127,9 +121,11 @@ def write_map(path: Path, result: SlamResult, config: MapConfig) -> None:
         LoopcloseError: the file cannot be written.
     """
     cloud = fuse(result, config)
-    columns = [*cloud.points_m.T, *np.rint(cloud.colours.T)]
     types = {**dict.fromkeys("xyz", "<f4"), **dict.fromkeys(("red", "green", "blue"), "u1")}
-    vertices = np.rec.fromarrays(columns, dtype=list(types.items()))
+    vertices = np.empty(len(cloud.points_m), list(types.items()))
+    for i, name in enumerate(types):
+        vertices[name] = cloud.points_m[:, i] if i < 3 else np.rint(cloud.colours[:, i - 3])
+    del cloud
     words = {"<f4": "float", "u1": "uchar"}
     properties = "".join(f"property {words[kind]} {name}\n" for name, kind in types.items())
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"

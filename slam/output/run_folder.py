@@ -10,7 +10,7 @@ import numpy as np
 
 from placerec.errors import Salvage, printable
 from placerec.files import write_atomically
-from slam.config import Config, to_toml
+from slam.config import Config, MapConfig, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
@@ -82,10 +82,10 @@ def write_outputs(
         "pose_graph.g2o": lambda path: _write_graph(path, result),
         "settings.toml": lambda path: write_atomically(path, settings),
         "summary.json": lambda path: _write_summary(path, result, drift, command, list(writers)),
-        "report.html": lambda path: _write_report(path, result, drift, settings, title, truth),
     }
-    if config.map.write and result.has_images:
-        writers["map.ply"] = lambda path: write_map(path, result, config.map)
+    if config.map.write and result.has_images:  # before the memory that drawing takes is taken
+        writers["map.ply"] = lambda path: _write_map(path, result, config.map)
+    writers["report.html"] = lambda path: _write_report(path, result, drift, settings, title, truth)
     salvage = Salvage()
     claimed.unfinished.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
     for name, write in writers.items():  # what cannot be computed again comes first
@@ -144,6 +144,11 @@ def _of_given(given: GivenOdometry, pose_file: PoseFile | None) -> dict[str, _Wr
             path, Trajectory(corrected.timestamps_s, T_map_odom)
         ),
     }
+
+
+def _write_map(path: Path, result: SlamResult, config: MapConfig) -> None:
+    write_map(path, result, config)
+    give_back()
 
 
 def _write_report(
