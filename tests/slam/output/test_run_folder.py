@@ -31,8 +31,8 @@ IN_ORDER = [
     "pose_graph.g2o",
     "settings.toml",
     "summary.json",
-    "report.html",
     "map.ply",
+    "report.html",
 ]
 CONFIG = Config(map=MapConfig(voxel_m=0.05))
 
