@@ -145,6 +145,7 @@ def _run(arguments: Arguments) -> None:
     # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
     from slam.geometry.compiled import load_compiled
+    from slam.geometry.features import search_images_on_one_thread
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
     from slam.output.freed_memory import share_between_threads
@@ -153,6 +154,7 @@ def _run(arguments: Arguments) -> None:
     from slam.system import Slam
 
     share_between_threads()
+    search_images_on_one_thread()
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
