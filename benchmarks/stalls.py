@@ -31,7 +31,7 @@ from slam import Config, Slam, TrackedFrame, open_sequence
 from slam.__main__ import DEFAULT_RECOGNIZER
 from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
-from slam.geometry.previews import Previews
+from slam.geometry.keyframe_memory import KeyframeMemory
 from slam.loops.back_end import BackEnd
 from slam.mapping.local_map import LocalMap
 from slam.tracking import odometry
@@ -48,7 +48,7 @@ PARTS: dict[str, tuple[Any, str]] = {
     "local map": (LocalMap, "insert"),
     "links": (odometry, "covisible_links"),
     "preview": (odometry, "preview"),
-    "its compression": (Previews, "keep"),
+    "its compression": (KeyframeMemory, "keep_image"),
     "waiting for loops": (BackEnd, "insert"),
 }
 LONGEST = 5

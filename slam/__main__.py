@@ -146,9 +146,9 @@ def _run(arguments: Arguments) -> None:
     from slam.datasets import Sessions
     from slam.geometry.compiled import load_compiled
     from slam.geometry.features import search_images_on_one_thread
+    from slam.geometry.freed_memory import share_between_threads
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
-    from slam.output.freed_memory import share_between_threads
     from slam.output.journal import Header, JournalWriter
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam

@@ -148,8 +148,8 @@ class KeyframesConfig(_Section):
     """What is kept of keyframes until the outputs are made."""
 
     memory_mb: Annotated[int, Field(ge=0, le=1_000_000)] = 64
-    """Images of keyframes, some 60 kB each at 640x480, that do not fit into so many MB go to a
-    temporary file beside the outputs."""
+    """Images and features of keyframes, some 120 kB each at 640x480, that do not fit into so many
+    MB go to a temporary file beside the outputs."""
 
 
 class LoopConfig(_Section):

@@ -15,6 +15,7 @@ from slam.config import Config
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Trust, Verdict
 from slam.geometry import se3
+from slam.geometry.freed_memory import give_back
 from slam.loops.atlas import Atlas, LargestSubmap
 from slam.loops.correction import Correction
 from slam.loops.cost_of_odometry import borne_out
@@ -39,6 +40,8 @@ _LOOP_GROWTH = 0.1
 _JUDGED_AFTER = 1
 # Of the candidates of so many keyframes it is kept which pixels matched, and of the last ones.
 _SHOWN_WITH_EVIDENCE, _RECENT = 500, 1000
+# What frames took between keyframes, which stay, lies in pieces that the system does not get back.
+_TIDIED_AFTER = 128
 _log = logging.getLogger(__name__)
 
 
@@ -278,6 +281,8 @@ class BackEnd:
         if given:
             self._atlas.give({keyframe.id: given})
         self.keyframes.append(keyframe)
+        if len(self.keyframes) % _TIDIED_AFTER == 0:
+            give_back()
         self.attempts.extend(attempts)
         if len(self.keyframes) > _SHOWN_WITH_EVIDENCE:
             self._forget_evidence()

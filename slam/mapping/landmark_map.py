@@ -184,8 +184,7 @@ class LandmarkMap:
         points_m = keyframe.features.points_m.copy()
         positions_m = self.landmarks.positions_m[ids[placed]]
         points_m[placed] = se3.transform(se3.inverse(keyframe.T_map_cam), positions_m)
-        keyframe.features = replace(keyframe.features, points_m=points_m)  # kept once
-        return keyframe.features
+        return replace(keyframe.features, points_m=points_m)
 
     def median_depth_m(self, T_map_cam: FloatArray, ids: IntArray) -> float:
         """Return how far from a camera at (4, 4) T_map_cam landmarks are, along its axis."""

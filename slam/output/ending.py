@@ -8,8 +8,8 @@ from placerec.errors import LoopcloseError, cause_of
 from slam.config import Config
 from slam.datasets.pose_files import PoseFile
 from slam.evaluation.drift import DriftReport, compare_drift
+from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
-from slam.output.freed_memory import give_back
 from slam.output.journal import Header
 from slam.output.run_folder import write_outputs
 from slam.output.summary import summary_table

@@ -14,8 +14,8 @@ from slam.config import Config, MapConfig, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
+from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
-from slam.output.freed_memory import give_back
 from slam.output.ledger import write_ledger
 from slam.output.point_cloud import write_map
 from slam.output.summary import summarise

@@ -12,7 +12,7 @@ import numpy as np
 from slam.config import Config
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor, straightened
-from slam.geometry.previews import Previews
+from slam.geometry.keyframe_memory import KeyframeMemory
 from slam.geometry.smear import SmearFinder
 from slam.mapping.keyframe_links import covisible_links
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
@@ -65,7 +65,7 @@ class RgbdOdometry:
         self._trails = Trails(self._local_map.whole, config, recognize)
         self._smears = SmearFinder()
         most_bytes = config.keyframes.memory_mb * 1_000_000
-        self._previews = Previews(most_bytes, camera.depth_scale, scratch)
+        self._memory = KeyframeMemory(most_bytes, camera.depth_scale, scratch)
         self._worth_a_segment = _WORTH_A_SEGMENT * config.features.count
         self._moved: set[int] = set()  # keyframes that were adjusted since the last new one
         self._segments = 0
@@ -265,11 +265,12 @@ class RgbdOdometry:
     def _insert(self, view: View, frame_pose: FramePose, turning_rad_s: float) -> Keyframe:
         """Make a keyframe of the view, which stays where it was placed until the map is settled."""
         model, T_map_cam = self._trails.followed, frame_pose.T_map_cam
-        kept = self._previews.keep(preview(view.frame))  # first, for it may fail
+        kept = self._memory.keep_image(preview(view.frame))  # first, for it may fail
         new_id = self._local_map.insert(view.features, T_map_cam, frame_pose.pairs)
         self._near = model
         model.last_ids = self.map.seen_by([new_id])
-        features = self.map.placed_features(new_id)
+        features = self._memory.keep_features(self.map.placed_features(new_id))
+        self.map.keyframes[new_id].features = features
         keyframe = new_keyframe(new_id, kept, features, T_map_cam, turning_rad_s, model.segment)
         self._trails.add_keyframe(keyframe)
         return keyframe

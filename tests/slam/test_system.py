@@ -787,7 +787,7 @@ def test_a_full_disk_ends_tracking_and_what_was_done_until_then_can_be_finished(
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "pwrite", full)
-        with pytest.raises(SlamError, match="cannot keep the images of keyframes: No space left"):
+        with pytest.raises(SlamError, match="cannot keep what keyframes show: No space left"):
             for frame in frames[20:]:
                 placed += isinstance(slam.process(frame), TrackedFrame)
     result = slam.finish()

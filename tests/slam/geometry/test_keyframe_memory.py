@@ -3,14 +3,16 @@ import copy
 import errno
 import gc
 import os
+import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slam.geometry.previews import Previews
+from slam.geometry.keyframe_memory import KeyframeMemory
 from slam.tracking.tracked_frame import preview
-from slam.types import Frame, SlamError
+from slam.types import Features, Frame, SlamError
 
 UNITS = 5000.0
 PLENTY = 1 << 30
@@ -36,8 +38,8 @@ def open_files():
 
 @pytest.mark.parametrize("most_bytes", [PLENTY, 0], ids=["memory", "file"])
 def test_a_frame_that_was_kept_is_the_frame_again(shown, tmp_path, most_bytes):
-    store = Previews(most_bytes, UNITS, tmp_path)
-    kept = [store.keep(each) for each in shown]
+    store = KeyframeMemory(most_bytes, UNITS, tmp_path)
+    kept = [store.keep_image(each) for each in shown]
     for again, frame in zip(kept, shown, strict=True):
         assert_same(again, frame)
         assert_same(again, frame)  # as often as anybody asks
@@ -45,7 +47,9 @@ def test_a_frame_that_was_kept_is_the_frame_again(shown, tmp_path, most_bytes):
 
 def test_it_takes_a_fifth_of_the_memory(shown, tmp_path):
     most_bytes = (shown[0].rgb.nbytes + shown[0].depth_m.nbytes) // 5
-    kept = Previews(most_bytes, UNITS, tmp_path / "none").keep(shown[0])  # there can be no file
+    kept = KeyframeMemory(most_bytes, UNITS, tmp_path / "none").keep_image(
+        shown[0]
+    )  # there can be no file
     assert_same(kept, shown[0])
 
 
@@ -60,32 +64,32 @@ def test_it_takes_a_fifth_of_the_memory(shown, tmp_path):
 )
 def test_depth_that_is_no_whole_number_of_units_is_kept_to_the_last_bit(depth_m):
     frame = Frame(1.0, np.zeros((*depth_m.shape, 3), np.uint8), depth_m)
-    np.testing.assert_array_equal(Previews(PLENTY, UNITS).keep(frame).depth_m, depth_m)
+    np.testing.assert_array_equal(KeyframeMemory(PLENTY, UNITS).keep_image(frame).depth_m, depth_m)
 
 
 def test_what_does_not_fit_into_memory_is_the_same_from_a_file(shown, tmp_path):
-    inside, beyond = Previews(PLENTY, UNITS), Previews(10_000, UNITS, tmp_path)
+    inside, beyond = KeyframeMemory(PLENTY, UNITS), KeyframeMemory(10_000, UNITS, tmp_path)
     for frame in shown:
-        one, other = inside.keep(frame), beyond.keep(frame)
+        one, other = inside.keep_image(frame), beyond.keep_image(frame)
         np.testing.assert_array_equal(one.rgb, other.rgb)
         np.testing.assert_array_equal(one.depth_m, other.depth_m)
 
 
 def test_the_file_begins_where_memory_ends(shown, tmp_path):
     before = open_files()
-    store = Previews(PLENTY, UNITS, tmp_path)
-    kept = store.keep(shown[0])
+    store = KeyframeMemory(PLENTY, UNITS, tmp_path)
+    kept = store.keep_image(shown[0])
     assert open_files() == before
-    store = Previews(2, UNITS, tmp_path)
-    kept = store.keep(shown[0])
+    store = KeyframeMemory(2, UNITS, tmp_path)
+    kept = store.keep_image(shown[0])
     assert open_files() == before + 1
     assert kept.rgb.any()
 
 
 def test_the_file_has_no_name_and_is_gone_with_the_last_frame(shown, tmp_path):
     before = open_files()
-    store = Previews(0, UNITS, tmp_path)
-    kept = [store.keep(each) for each in shown]
+    store = KeyframeMemory(0, UNITS, tmp_path)
+    kept = [store.keep_image(each) for each in shown]
     assert list(tmp_path.iterdir()) == []
     del store
     gc.collect()
@@ -98,10 +102,10 @@ def test_the_file_has_no_name_and_is_gone_with_the_last_frame(shown, tmp_path):
 def test_a_folder_that_is_removed_meanwhile_takes_nothing_away(shown, tmp_path):
     folder = tmp_path / "folder"
     folder.mkdir()
-    store = Previews(0, UNITS, folder)
-    kept = [store.keep(shown[0])]
+    store = KeyframeMemory(0, UNITS, folder)
+    kept = [store.keep_image(shown[0])]
     folder.rmdir()
-    kept.append(store.keep(shown[1]))
+    kept.append(store.keep_image(shown[1]))
     for again, frame in zip(kept, shown[:2], strict=True):
         assert_same(again, frame)
 
@@ -109,8 +113,8 @@ def test_a_folder_that_is_removed_meanwhile_takes_nothing_away(shown, tmp_path):
 def test_a_full_disk_is_one_clear_line_and_costs_nothing_that_was_kept(
     shown, tmp_path, monkeypatch
 ):
-    store = Previews(0, UNITS, tmp_path)
-    kept = store.keep(shown[0])
+    store = KeyframeMemory(0, UNITS, tmp_path)
+    kept = store.keep_image(shown[0])
 
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -118,27 +122,52 @@ def test_a_full_disk_is_one_clear_line_and_costs_nothing_that_was_kept(
     with monkeypatch.context() as patch:
         patch.setattr(os, "pwrite", full)
         with pytest.raises(SlamError, match=r"No space left.*keyframes\.memory-mb") as error:
-            store.keep(shown[1])
+            store.keep_image(shown[1])
     assert "\n" not in str(error.value)
     assert_same(kept, shown[0])
-    assert_same(store.keep(shown[1]), shown[1])  # once there is space again
+    assert_same(store.keep_image(shown[1]), shown[1])  # once there is space again
 
 
 def test_a_file_that_takes_a_part_at_a_time_is_written_whole(shown, tmp_path, monkeypatch):
     write = os.pwrite
     monkeypatch.setattr(os, "pwrite", lambda file, data, at: write(file, data[:1000], at))
-    store = Previews(0, UNITS, tmp_path)
-    kept = [store.keep(each) for each in shown]
+    store = KeyframeMemory(0, UNITS, tmp_path)
+    kept = [store.keep_image(each) for each in shown]
     for again, frame in zip(kept, shown, strict=True):
         assert_same(again, frame)
 
 
 def test_a_folder_that_is_not_there_is_one_clear_line(shown, tmp_path):
-    with pytest.raises(SlamError, match="cannot keep the images of keyframes: No such file"):
-        Previews(0, UNITS, tmp_path / "none").keep(shown[0])
+    with pytest.raises(SlamError, match="cannot keep what keyframes show: No such file"):
+        KeyframeMemory(0, UNITS, tmp_path / "none").keep_image(shown[0])
 
 
 def test_a_copy_is_a_frame_like_any_other(shown, tmp_path):
-    again = copy.deepcopy(Previews(0, UNITS, tmp_path).keep(shown[0]))
+    again = copy.deepcopy(KeyframeMemory(0, UNITS, tmp_path).keep_image(shown[0]))
     assert type(again) is Frame
     assert_same(again, shown[0])
+
+
+@pytest.fixture
+def features(make_scene):
+    seen = make_scene().features[0]
+    return replace(seen, depth_m=seen.depth_m.astype(np.float32), octaves=np.uint8(seen.octaves))
+
+
+@pytest.mark.parametrize("most_bytes", [0, 1 << 30])
+def test_features_are_the_same_in_memory_and_in_a_file(features, tmp_path, most_bytes):
+    kept = KeyframeMemory(most_bytes, UNITS, tmp_path).keep_features(features)
+    assert isinstance(kept, Features) and (kept is features) == (most_bytes > 0)
+    for each in (kept, pickle.loads(pickle.dumps(kept))):
+        for name, values in vars(features).items():
+            again = getattr(each, name)
+            np.testing.assert_array_equal(again, values)
+            assert again.dtype == values.dtype and again.flags.writeable
+
+
+def test_once_something_went_to_the_file_all_that_comes_later_does(features, shown, tmp_path):
+    memory = KeyframeMemory(100, UNITS, tmp_path)
+    assert memory.keep_features(features) is not features
+    small = replace(features, **{name: values[:1] for name, values in vars(features).items()})
+    assert memory.keep_features(small) is not small
+    assert_same(memory.keep_image(shown[0]), shown[0])

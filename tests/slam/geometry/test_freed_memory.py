@@ -5,13 +5,13 @@ import sys
 
 import pytest
 
-from slam.output import freed_memory
+from slam.geometry import freed_memory
 
 # Pieces too small to be given back at once, of which every tenth is still in use.
 PIECES = """
 import numpy as np
 from pathlib import Path
-from slam.output.freed_memory import give_back
+from slam.geometry.freed_memory import give_back
 
 def resident_mb():
     lines = Path("/proc/self/status").read_text().splitlines()

@@ -1,28 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images of keyframes, kept compressed: in memory, and in a file where there are many."""
+"""What is kept of keyframes, images compressed: in memory, and in a file where there are many."""
 
 import math
 import os
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.types import Frame, SlamError
+from slam.types import Features, Frame, SlamError
 
 _JPEG_QUALITY = 90
 _ZLIB_LEVEL = 1  # as a PNG of level 1, in two thirds of the time
 
 
-class Previews:
-    """Keeps small frames until the last of them is forgotten.
+class KeyframeMemory:
+    """Keeps small frames and features until the last of them is forgotten.
 
-    Colour becomes a JPEG; depth is kept to the last bit.
+    Colour becomes a JPEG; all else is kept to the last bit.
     """
 
     def __init__(self, most_bytes: int, depth_scale: float, folder: Path | None = None) -> None:
@@ -36,29 +38,51 @@ class Previews:
         self._folder = folder
         self._file: _NamelessFile | None = None
 
-    def keep(self, frame: Frame) -> Frame:
+    def keep_image(self, frame: Frame) -> Frame:
         """Return the frame again, with images that are decoded whenever they are asked for.
 
         Raises:
             SlamError: the file cannot be written; what was kept before can still be read.
         """
         contents = self._color(frame.rgb), self._depth(frame.depth_m)
-        if (size := sum(map(len, contents))) <= self._left:
-            self._left -= size
+        if self._has_room(sum(map(len, contents))):
             return _KeptFrame(
                 frame, self._depth_scale, *(partial(_same, each) for each in contents)
             )
-        self._left = 0  # what comes later goes to the file, too
+        return _KeptFrame(frame, self._depth_scale, *map(self._in_file, contents))
+
+    def keep_features(self, features: Features) -> Features:
+        """Return the features again, with arrays that may be read anew when they are asked for.
+
+        Raises:
+            SlamError: the file cannot be written; what was kept before can still be read.
+        """
+        arrays = {each.name: getattr(features, each.name) for each in fields(Features)}
+        if self._has_room(sum(each.nbytes for each in arrays.values())):
+            return features
+        return _KeptFeatures(
+            {
+                name: (self._in_file(array.tobytes()), array.dtype, array.shape)
+                for name, array in arrays.items()
+            }
+        )
+
+    def _has_room(self, size: int) -> bool:
+        """Take so many bytes of memory if they are left; else what comes later finds none, too."""
+        has_room = size <= self._left
+        self._left = self._left - size if has_room else 0
+        return has_room
+
+    def _in_file(self, content: bytes) -> Callable[[], bytes]:
         try:
             self._file = self._file or _NamelessFile(self._folder)
-            reads = [self._file.append(each) for each in contents]
+            return self._file.append(content)
         except OSError as error:
             raise SlamError(
-                f"cannot keep the images of keyframes: {error.strerror}; free the space, or let"
+                f"cannot keep what keyframes show: {error.strerror}; free the space, or let"
                 " more of them stay in memory with --keyframes.memory-mb:"
                 f" {self._folder or tempfile.gettempdir()}"
             ) from error
-        return _KeptFrame(frame, self._depth_scale, *reads)
 
     def _color(self, rgb: NDArray[np.uint8]) -> bytes:
         bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
@@ -106,6 +130,32 @@ class _KeptFrame(Frame):
     def __reduce__(self) -> tuple[type[Frame], tuple[object, ...]]:
         # A copy, also one for another process, is a frame like any other.
         return Frame, (self.timestamp_s, self.rgb, self.depth_m)
+
+
+_InFile = tuple[Callable[[], bytes], np.dtype[Any], tuple[int, ...]]
+
+
+class _KeptFeatures(Features):
+    """Features that are read anew whenever they are asked for."""
+
+    def __init__(self, in_file: Mapping[str, _InFile]) -> None:
+        self._in_file = in_file
+
+    def __reduce__(self) -> tuple[type[Features], tuple[object, ...]]:
+        # A copy, also one for another process, is like any other.
+        return Features, tuple(getattr(self, each.name) for each in fields(Features))
+
+
+def _read_anew(name: str) -> property:
+    def read(features: _KeptFeatures) -> NDArray[Any]:
+        content, dtype, shape = features._in_file[name]
+        return np.frombuffer(content(), dtype).reshape(shape).copy()  # to be written to, as others
+
+    return property(read)
+
+
+for _field in fields(Features):
+    setattr(_KeptFeatures, _field.name, _read_anew(_field.name))
 
 
 def _same(content: bytes) -> bytes:
