@@ -3,13 +3,13 @@
 
 The machine code is kept beside the source, or in the user's cache folder where that is read-only,
 and found there by every later run. It is made anew where the file of a loop changes, but not where
-a constant that it imports does. Compiled loops let other threads of Python run.
+a constant or an inlined function that it imports does. Compiled loops let other threads run.
 """
 
 import ctypes
 import logging
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,15 +25,34 @@ _log = logging.getLogger(__name__)
 class _Cache(FunctionCache):
     """Machine code on disk, which a run can do without: a full disk is no reason to fail."""
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what was compiled for these types, None if there is nothing that can be used."""
+        with self._on_damage_anew():
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        return None
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, if there is room."""
-        try:
+        with self._on_damage_anew():
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-        except OSError as error:
-            _log.debug("compiled loops could not be kept: %s", error)
+
+    @contextmanager
+    def _on_damage_anew(self) -> Iterator[None]:
+        """Forget a file that a power cut left empty, say, whatever reading it raises."""
+        try:
+            yield
+        except Exception as error:
+            _log.debug("compiled loops could not be kept or read: %s", error)
+            with suppress(OSError):
+                self._cache_file.flush()  # type: ignore[no-untyped-call]
 
     def signatures(self) -> list[Any]:
         """Return for which types of arguments the function was compiled here."""
+        with self._on_damage_anew():
+            return self._signatures()
+        return []
+
+    def _signatures(self) -> list[Any]:
         index: dict[Any, str] = self._cache_file._load_index()  # type: ignore[no-untyped-call]
         return [key[0] for key in index]
 
@@ -87,7 +106,9 @@ def _unchanged_parts(library: str) -> list[str]:
         name, *values = line.split()
         if not name.endswith(":"):  # what follows is of another part
             addresses = name if values[0] in _READ_ONLY and library in values[-1] else ""
-        elif name == "Anonymous:" and addresses and values[0] == "0":
+        elif name in ("Anonymous:", "Swap:") and values[0] != "0":
+            addresses = ""  # its own, and nowhere else
+        elif name == "VmFlags:" and addresses:  # the last line of a part
             found.append(addresses)
     return found
 

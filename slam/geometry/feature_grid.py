@@ -119,7 +119,7 @@ def _search(
             for k in range(starts[row * columns + first], starts[row * columns + last + 1]):
                 j = order[k]
                 off_u, off_v = pixels[j, 0] - u, pixels[j, 1] - v
-                if off_u * off_u + off_v * off_v > radius * radius:
+                if not off_u * off_u + off_v * off_v <= radius * radius:  # nor what is NaN
                     continue
                 if abs(octaves[j] - expected_octaves[i]) > _OCTAVES_APART:
                     continue

@@ -21,7 +21,7 @@ def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Fe
     """
     if camera.readout_s == 0.0 or not velocity.any():
         return features
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    intrinsics = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
     time_s = camera.readout_s * ((features.pixels[:, 1] + 0.5) / camera.height - 0.5)
     points_m, undistorted_px, depth_m = _moved(
         np.asarray(features.undistorted_px, np.float64),

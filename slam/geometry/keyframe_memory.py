@@ -6,6 +6,7 @@ import os
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -54,18 +55,19 @@ class KeyframeMemory:
     def keep_features(self, features: Features) -> Features:
         """Return the features again, with arrays that may be read anew when they are asked for.
 
-        Raises:
-            SlamError: the file cannot be written; what was kept before can still be read.
+        Where the file cannot be written, they stay in memory: their keyframe is in the map already.
         """
         arrays = {each.name: getattr(features, each.name) for each in fields(Features)}
         if self._has_room(sum(each.nbytes for each in arrays.values())):
             return features
-        return _KeptFeatures(
-            {
-                name: (self._in_file(array.tobytes()), array.dtype, array.shape)
-                for name, array in arrays.items()
-            }
-        )
+        with suppress(SlamError):
+            return _KeptFeatures(
+                {
+                    name: (self._in_file(array.tobytes()), array.dtype, array.shape)
+                    for name, array in arrays.items()
+                }
+            )
+        return features
 
     def _has_room(self, size: int) -> bool:
         """Take so many bytes of memory if they are left; else what comes later finds none, too."""

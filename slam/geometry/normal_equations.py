@@ -192,8 +192,12 @@ def stepped(
 ) -> tuple[FloatArray, FloatArray]:
     """Return T_a_b after the Gauss-Newton step on its right, and the (6,) step."""
     step = _solved(hessian, gradient)
+    length = 0.0
     for i in range(6):
         step[i] = -step[i]
+        length += abs(step[i])
+    if not np.isfinite(length):  # they have no solution
+        return T_a_b.copy(), np.zeros(6)
     squared = step[0] * step[0] + step[1] * step[1] + step[2] * step[2]
     angle = np.sqrt(squared)
     if angle < 1e-4:  # series, for what cancels

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slam.geometry.compiled import compiled, inlined
 from slam.types import Camera, FloatArray, IntArray
 
+_FEWEST_POINTS = 4  # three that make the pose, and one that agrees with it
 _CONFIDENCE = 0.9999  # of having drawn three that are right
 _FEWEST_TRIALS = 30  # three that are right may say much worse than others where the camera is
 _POLISH_STEPS = 3  # Newton's, of a root of the quartic
@@ -31,12 +32,14 @@ def pose_by_ransac(
     Of (M, 3) points and the (M, 2) undistorted pixels that show them, with a (M,) mask; None where
     no three of them give a pose that a fourth agrees with. What is drawn is the same every time.
     """
+    if len(points_m) < _FEWEST_POINTS:
+        return None
     rays = np.asarray((pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.float64)
-    limits = (threshold_px / camera.fx, threshold_px / camera.fy)
+    limits = (float(threshold_px / camera.fx), float(threshold_px / camera.fy))
     draws = np.random.default_rng(0).random((most_trials, 3))
     places_m: FloatArray = np.ascontiguousarray(points_m, np.float64)
     T_cam_world, count = _best_pose(places_m, rays, draws, limits)
-    if count <= 3:
+    if count < _FEWEST_POINTS:
         return None
     mask = _agreeing(T_cam_world, places_m, rays, limits)
     T_world_cam = np.eye(4)

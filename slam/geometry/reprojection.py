@@ -35,7 +35,13 @@ Intrinsics = tuple[float, float, float, float, float]
 
 def intrinsics(camera: Camera) -> Intrinsics:
     """Return fx, fy, cx, cy and what a disparity is by 1 / depth, as compiled loops take them."""
-    return (camera.fx, camera.fy, camera.cx, camera.cy, _BASELINE_M * camera.fx)
+    # Numbers of another kind, such as whole ones, would be compiled for anew.
+    return (*pinhole(camera), float(_BASELINE_M * camera.fx))
+
+
+def pinhole(camera: Camera) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy, pixels."""
+    return (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,8 @@ def adjust(bundle: Bundle, camera: Camera, max_steps: int) -> Bundle:
         system = system or _linearise(bundle, camera)
         moved = _moved(bundle, *_solve(system, bundle, damping))
         after = _cost(moved, camera)
-        if after > cost:
+        # What nothing holds any more may have no solution, and what is NaN has no cost.
+        if not (after <= cost and _is_finite(moved)):
             damping, refusals = 10.0 * damping, refusals + 1
             if refusals > _MAX_REFUSALS:
                 break
@@ -108,6 +109,10 @@ def adjust(bundle: Bundle, camera: Camera, max_steps: int) -> Bundle:
         if gain < _SMALL_GAIN:
             break
     return bundle
+
+
+def _is_finite(bundle: Bundle) -> bool:
+    return bool(np.isfinite(bundle.T_world_cam).all() and np.isfinite(bundle.points_m).all())
 
 
 def agreeing(bundle: Bundle, camera: Camera) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from slam.geometry import se3
 from slam.geometry.compiled import compiled
 from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.features import match_descriptors
-from slam.geometry.reprojection import Observations
+from slam.geometry.reprojection import Observations, pinhole
 from slam.geometry.triangulation import triangulate
 from slam.mapping.landmarks import UNSEEN, Landmarks
 from slam.types import Camera, Features, FloatArray, IntArray
@@ -73,8 +73,8 @@ class LandmarkMap:
             table.octaves,
             ids,
             T_map_cam,
-            (camera.fx, camera.fy, camera.cx, camera.cy),
-            (camera.width, camera.height),
+            pinhole(camera),
+            (int(camera.width), int(camera.height)),
             self._levels,
         )
         pairs = grid.search(

@@ -124,7 +124,7 @@ class _BlockMatrix:
         """Return the solution if the factors of an earlier matrix lead to it soon, else None."""
         if self._factors is None or len(right) < 6 * _WORTH_REUSING:
             return None
-        factors = LinearOperator(matrix.shape, self._factors.solve)
+        factors = LinearOperator(matrix.shape, self._factors.solve, dtype=np.float64)
         solution, is_left = cg(matrix, right, rtol=_REST, maxiter=_MOST_REPEATS, M=factors)
         return None if is_left else np.asarray(solution)
 

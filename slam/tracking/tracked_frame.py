@@ -67,5 +67,5 @@ def preview(frame: Frame) -> Frame:
     return Frame(
         timestamp_s=frame.timestamp_s,
         rgb=(summed // 4).astype(np.uint8),
-        depth_m=frame.depth_m[:height:2, :width:2].copy(),
+        depth_m=np.array(frame.depth_m[:height:2, :width:2], np.float32),
     )

@@ -47,6 +47,16 @@ def test_what_one_run_compiled_the_next_one_loads(folder):
     assert (loaded, total) == ("True", "6.0") and "1" in "".join(hits)
 
 
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_what_a_power_cut_left_is_compiled_again(folder, ending):
+    run(folder)
+    (damaged,) = (folder / "cache").rglob(f"*.{ending}")
+    damaged.write_bytes(b"")
+    assert run(folder)[1] == "6.0"
+    loaded, total, *hits = run(folder)
+    assert (loaded, total) == ("True", "6.0") and "1" in "".join(hits)
+
+
 def test_a_disk_that_is_full_costs_time_alone(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")

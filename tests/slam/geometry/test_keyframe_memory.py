@@ -171,3 +171,15 @@ def test_once_something_went_to_the_file_all_that_comes_later_does(features, sho
     small = replace(features, **{name: values[:1] for name, values in vars(features).items()})
     assert memory.keep_features(small) is not small
     assert_same(memory.keep_image(shown[0]), shown[0])
+
+
+def test_features_stay_in_memory_where_there_can_be_no_file(features, tmp_path):
+    assert KeyframeMemory(0, UNITS, tmp_path / "none").keep_features(features) is features
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float64])
+def test_depth_of_another_kind_is_kept_in_metres(frames, tmp_path, kind):
+    frame = frames[0]
+    other = Frame(frame.timestamp_s, frame.rgb, frame.depth_m.astype(kind))
+    kept = KeyframeMemory(PLENTY, UNITS, tmp_path).keep_image(preview(other))
+    np.testing.assert_allclose(kept.depth_m, preview(frame).depth_m, rtol=1e-3)

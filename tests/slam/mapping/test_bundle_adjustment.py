@@ -161,3 +161,17 @@ def test_motions_that_say_next_to_nothing_change_next_to_nothing(make_scene):
     vague = replace(shaken(bundle), motions=motions_of(wrong, 1e4))
     found, alone = (adjust(each, scene.camera, 50) for each in (vague, shaken(bundle)))
     np.testing.assert_allclose(found.T_world_cam, alone.T_world_cam, atol=1e-4)
+
+
+@pytest.mark.parametrize("shared", [0, 1, 2])
+def test_a_camera_that_nothing_holds_any_more_stays_finite(make_scene, shared):
+    scene = make_scene(cameras=3)
+    bundle = bundle_of(scene)
+    others, alone = bundle.camera_of != 2, bundle.camera_of == 2
+    chosen = (others & (bundle.point_of < 10)) | (alone & (bundle.point_of >= 10 - shared))
+    seen = bundle.measured.seen.copy()
+    seen[alone, 2] = np.nan  # without depth a point of its own says nothing
+    bundle = replace(bundle, measured=Observations(seen, bundle.measured.sigma)).select(chosen)
+    for seed in range(30):
+        found = adjust(shaken(bundle, seed), scene.camera, 10)
+        assert np.isfinite(found.T_world_cam).all() and np.isfinite(found.points_m).all()
