@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.geometry.compiled import compiled, count_bits, inlined
+from slam.geometry.features import words_of
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _CELL_PX = 20.0
@@ -17,7 +18,7 @@ class FeatureGrid:
     def __init__(self, features: Features, camera: Camera) -> None:
         self._octaves = np.asarray(features.octaves, np.uint8)
         self._pixels = np.ascontiguousarray(features.undistorted_px, np.float32)
-        self._words = _words(features.descriptors)
+        self._words = words_of(features.descriptors)
         self._columns = int(np.ceil(camera.width / _CELL_PX))
         self._rows = int(np.ceil(camera.height / _CELL_PX))
         self._order, self._starts = _sorted_into_cells(self._pixels, self._columns, self._rows)
@@ -46,14 +47,10 @@ class FeatureGrid:
             np.ascontiguousarray(expected_px),
             np.ascontiguousarray(radius_px),
             np.ascontiguousarray(octaves),
-            _words(descriptors),
+            words_of(descriptors),
             max_distance,
         )
         return pairs[np.argsort(distances, kind="stable")]  # ties have one winner
-
-
-def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
-    return np.ascontiguousarray(descriptors).view(np.uint64)
 
 
 @inlined

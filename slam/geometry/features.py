@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from slam.config import PYRAMID_SCALE, FeaturesConfig
 from slam.geometry.compiled import compiled, count_bits, inlined
+from slam.geometry.reprojection import pinhole
 from slam.types import Camera, Features, FloatArray, Frame, IntArray
 
 
@@ -21,14 +22,13 @@ def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Fe
     """
     if camera.readout_s == 0.0 or not velocity.any():
         return features
-    intrinsics = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
     time_s = camera.readout_s * ((features.pixels[:, 1] + 0.5) / camera.height - 0.5)
     points_m, undistorted_px, depth_m = _moved(
         np.asarray(features.undistorted_px, np.float64),
         np.asarray(features.depth_m, np.float64),
         np.asarray(time_s, np.float64),
         np.asarray(velocity, np.float64),
-        intrinsics,
+        pinhole(camera),
     )
     return replace(
         features,
@@ -138,10 +138,11 @@ def match_descriptors(
     """Return the same of (N, 32) and (K, 32) descriptors."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    return _mutual_nearest(_words(a), np.ascontiguousarray(_words(b).T), max_distance)
+    return _mutual_nearest(words_of(a), np.ascontiguousarray(words_of(b).T), max_distance)
 
 
-def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
+def words_of(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    """Return (N, W) words of (N, 8 W) descriptors, whose bits are counted eight bytes at a time."""
     return np.ascontiguousarray(descriptors).view(np.uint64)
 
 

@@ -17,27 +17,31 @@ Widths = tuple[float, float]
 
 @inlined
 def _residuals(
+    o: int,
     T_world_cam: FloatArray,
-    point_m: FloatArray,
+    points_m: FloatArray,
+    camera_of: IntArray,
+    point_of: IntArray,
     seen: FloatArray,
     sigma: FloatArray,
     camera: Intrinsics,
     point_cam_m: FloatArray,
     residuals: FloatArray,
 ) -> bool:
-    """Set the (3,) point in the camera's frame, and whitened residuals: 0 where unknown.
+    """Set the (3,) point of an observation in its camera, and whitened residuals: 0 where unknown.
 
     Return whether the point lies before the camera.
     """
     fx, fy, cx, cy, baseline_fx = camera
+    T = T_world_cam[camera_of[o]]
     for j in range(3):
         point_cam_m[j] = 0.0
         for i in range(3):
-            point_cam_m[j] += T_world_cam[i, j] * (point_m[i] - T_world_cam[i, 3])
+            point_cam_m[j] += T[i, j] * (points_m[point_of[o], i] - T[i, 3])
     near = 1.0 / point_cam_m[2]
-    residuals[0] = (fx * point_cam_m[0] * near + cx - seen[0]) / sigma[0]
-    residuals[1] = (fy * point_cam_m[1] * near + cy - seen[1]) / sigma[1]
-    residuals[2] = (baseline_fx * near - seen[2]) / sigma[2]
+    residuals[0] = (fx * point_cam_m[0] * near + cx - seen[o, 0]) / sigma[o, 0]
+    residuals[1] = (fy * point_cam_m[1] * near + cy - seen[o, 1]) / sigma[o, 1]
+    residuals[2] = (baseline_fx * near - seen[o, 2]) / sigma[o, 2]
     for row in range(3):
         if not np.isfinite(residuals[row]):
             residuals[row] = 0.0
@@ -57,21 +61,13 @@ def robust_cost(
 ) -> float:
     """Return the sum of the robust costs of all observations."""
     huber, cauchy = widths
-    cost, point_cam_m, residuals = 0.0, np.empty(3), np.empty(3)
+    cost, p, r = 0.0, np.empty(3), np.empty(3)
     for o in range(len(camera_of)):
-        _residuals(
-            T_world_cam[camera_of[o]],
-            points_m[point_of[o]],
-            seen[o],
-            sigma[o],
-            camera,
-            point_cam_m,
-            residuals,
-        )
-        squared = residuals[0] ** 2 + residuals[1] ** 2
+        _residuals(o, T_world_cam, points_m, camera_of, point_of, seen, sigma, camera, p, r)
+        squared = r[0] ** 2 + r[1] ** 2
         weight = min(1.0, huber / max(np.sqrt(squared), 1e-12))
         cost += weight * squared * (1.0 - 0.5 * weight)
-        cost += 0.5 * cauchy**2 * np.log1p((residuals[2] / cauchy) ** 2)
+        cost += 0.5 * cauchy**2 * np.log1p((r[2] / cauchy) ** 2)
     return cost
 
 
@@ -87,18 +83,12 @@ def agreement(
     limit: float,
 ) -> NDArray[np.bool_]:
     """Return (O,) bool: the points that were seen where they are, as `Observations.agree` does."""
-    agrees, point_cam_m, residuals = np.zeros(len(seen), np.bool_), np.empty(3), np.empty(3)
+    agrees, p, r = np.zeros(len(seen), np.bool_), np.empty(3), np.empty(3)
     for o in range(len(camera_of)):
         is_before = _residuals(
-            T_world_cam[camera_of[o]],
-            points_m[point_of[o]],
-            seen[o],
-            sigma[o],
-            camera,
-            point_cam_m,
-            residuals,
+            o, T_world_cam, points_m, camera_of, point_of, seen, sigma, camera, p, r
         )
-        agrees[o] = is_before and np.sqrt(residuals[0] ** 2 + residuals[1] ** 2) < limit
+        agrees[o] = is_before and np.sqrt(r[0] ** 2 + r[1] ** 2) < limit
     return agrees
 
 
@@ -146,7 +136,7 @@ def linearised(
     for o in range(len(camera_of)):
         k, n = camera_of[o], point_of[o]
         T = T_world_cam[k]
-        _residuals(T, points_m[n], seen[o], sigma[o], camera, p, r)
+        _residuals(o, T_world_cam, points_m, camera_of, point_of, seen, sigma, camera, p, r)
         pixel_root = np.sqrt(min(1.0, huber / max(np.sqrt(r[0] ** 2 + r[1] ** 2), 1e-12)))
         depth_root = np.sqrt(1.0 / (1.0 + (r[2] / cauchy) ** 2))
         for i in range(3):
