@@ -32,7 +32,7 @@ from placerec.evaluation.precision_recall import compare, judge
 from placerec.evaluation.second_look import LOOKED_AT
 from slam.config import Config
 from slam.datasets.formats import open_sequence
-from slam.geometry.features import FeatureExtractor
+from slam.geometry.features import FeatureExtractor, grey_of
 from slam.loops.second_look import agreements, rerank, strongest
 from slam.types import Camera, Features, FloatArray
 
@@ -89,7 +89,7 @@ def _looked_at(dataset: PlaceDataset, limit: float) -> tuple[PlaceDataset, list[
     found: dict[int, Features] = {}
     for frame in sequence:
         if (k := wanted.get(round(frame.timestamp_s, 4))) is not None:
-            found[k] = extractor.extract(frame)
+            found[k] = extractor.extract(grey_of(frame.rgb), frame.depth_m)
     kept = np.isin(np.arange(len(dataset)), list(found))
     return dataset.subset(kept), [found[k] for k in sorted(found)], sequence.camera
 

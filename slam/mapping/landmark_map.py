@@ -15,7 +15,7 @@ from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.features import match_descriptors
 from slam.geometry.reprojection import Observations, pinhole
 from slam.geometry.triangulation import triangulate
-from slam.mapping.landmarks import UNSEEN, Landmarks
+from slam.mapping.landmarks import UNSEEN, Landmarks, is_among
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _MIN_COSINE = 0.5  # a landmark seen from more than 60 degrees aside looks different
@@ -145,8 +145,8 @@ class LandmarkMap:
         The (P,) ids are all different.
         """
         keyframe = self.keyframes[keyframe_id]
-        seen = self.landmarks.resolve(keyframe.landmark_of)
-        ids = ids[self.landmarks.is_alive[ids] & ~np.isin(ids, seen)]
+        seen = self.landmarks.distinct(keyframe.landmark_of)
+        ids = ids[self.landmarks.is_alive[ids] & ~is_among(ids, seen)]
         grid = FeatureGrid(keyframe.features, self.camera)
         pairs = self.search(grid, keyframe.T_map_cam, ids, radius_px)
         T_cam_map = se3.inverse(keyframe.T_map_cam)

@@ -106,16 +106,38 @@ class Landmarks:
 
     def distinct(self, ids: IntArray | NDArray[np.int32]) -> IntArray:
         """Return the same, each once, in order, and without UNSEEN."""
-        resolved = self.resolve(ids)
-        known = resolved[resolved >= 0]
-        if not len(known):
-            return known
-        first, last = known.min(), known.max()
-        if last - first >= _FAR_APART * len(known):
-            return np.unique(known)
-        is_there = np.zeros(last - first + 1, np.bool_)
-        is_there[known - first] = True
-        return np.asarray(np.flatnonzero(is_there) + first)
+        return _distinct(_resolved(np.asarray(ids, np.int32), self._merged_into, self.is_alive))
+
+
+def is_among(ids: IntArray, others: IntArray) -> NDArray[np.bool_]:
+    """Return (N,) whether each of the ids is among others, which are in order."""
+    # What is laid out in another way would be compiled for anew.
+    return _is_among(np.ascontiguousarray(ids), np.ascontiguousarray(others))
+
+
+@compiled
+def _is_among(ids: IntArray, others: IntArray) -> NDArray[np.bool_]:
+    is_there = np.zeros(len(ids), np.bool_)
+    places = np.searchsorted(others, ids)
+    for i in range(len(ids)):
+        is_there[i] = places[i] < len(others) and others[places[i]] == ids[i]
+    return is_there
+
+
+@compiled
+def _distinct(ids: IntArray) -> IntArray:
+    """Return those of (N,) ids that are not UNSEEN, each once, in order."""
+    known: IntArray = ids[ids != UNSEEN]
+    if not len(known):
+        return known
+    first, last = known.min(), known.max()
+    if last - first >= _FAR_APART * len(known):
+        return np.unique(known)
+    is_there = np.zeros(last - first + 1, np.bool_)
+    for each in known:
+        is_there[each - first] = True
+    distinct: IntArray = np.flatnonzero(is_there) + first
+    return distinct
 
 
 @compiled

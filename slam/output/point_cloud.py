@@ -57,7 +57,9 @@ class VoxelMeans:
             self._make_room(most + most // 2)
         numbers = voxel_numbers(np.ascontiguousarray(cloud.points_m), self._voxel_m)
         each = np.column_stack([cloud.points_m, cloud.colours, np.ones(len(numbers))])
-        self._count = add_to_voxels(numbers, each, self._table, self._numbers, self._sums, self._count)
+        self._count = add_to_voxels(
+            numbers, each, self._table, self._numbers, self._sums, self._count
+        )
 
     def _make_room(self, room: int) -> None:
         self._numbers.resize(room)  # in place, where the system has room behind it

@@ -11,7 +11,7 @@ from slam.config import Config, LoopConfig
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor
+from slam.geometry.features import FeatureExtractor, grey_of
 from slam.loops.back_end import BackEnd
 from slam.pose_graph import solve_beside
 from slam.stage_clock import StageClock
@@ -48,10 +48,15 @@ def back_end(recognizer, **loop):
     return BackEnd(CAMERA, recognizer, Config(loop=LoopConfig(**loop)), StageClock())
 
 
+def features_of(frame):
+    extractor = FeatureExtractor(CAMERA, Config().features)
+    return extractor.extract(grey_of(frame.rgb), frame.depth_m)
+
+
 @pytest.fixture(scope="module")
 def keyframes(frames):
     """Return keyframes 3 s apart that all show the first frame's place, and their images."""
-    features = FeatureExtractor(CAMERA, Config().features).extract(frames[0])
+    features = features_of(frames[0])
     return [
         (Keyframe(k, 3.0 * k, np.eye(4), features, preview(frames[0])), frames[0].rgb)
         for k in range(4)
@@ -125,7 +130,7 @@ def test_a_segment_that_loops_at_one_place_tie_is_of_no_use_and_a_second_makes_i
 ):
     behind = back_end(Gate(), min_gap=2)
     (here, rgb), other_rgb = keyframes[0], frames[24].rgb
-    features = FeatureExtractor(CAMERA, Config().features).extract(frames[24])
+    features = features_of(frames[24])
     elsewhere = replace(here, features=features, T_odom_cam=T_first_cam[24])
     motion = RelativePose(T_first_cam[24], INFORMATION)
     behind.insert(here, (), {}, rgb)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from slam.mapping.landmarks import UNSEEN, Landmarks
+from slam.mapping.landmarks import UNSEEN, Landmarks, is_among
 
 
 def table_of(count, keyframe_id=0):
@@ -78,3 +78,10 @@ def test_what_one_keyframe_tells_apart_is_not_merged():
     assert table.resolve(ids).tolist() == [0, 1, 2] and table.sightings[ids].tolist() == [1, 1, 1]
     table.merge(ids[[0]], ids[[2]])
     assert table.resolve(ids).tolist() == [2, 1, 2] and table.sightings[ids].tolist() == [1, 1, 2]
+
+
+def test_which_ids_are_among_others_is_what_numpy_finds():
+    rng = np.random.default_rng(0)
+    for others in (np.unique(rng.integers(0, 90, 40)), np.zeros(0, np.int64)):
+        ids = np.column_stack([rng.integers(-1, 100, 60)] * 2)[:, 0]
+        np.testing.assert_array_equal(is_among(ids, others), np.isin(ids, others))
