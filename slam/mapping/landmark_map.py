@@ -158,6 +158,18 @@ class LandmarkMap:
         self._observe(keyframe_id, pairs[is_free])
         self.landmarks.merge(pairs[~is_free, 0], there[~is_free])
 
+    def forget_gone(self, ids: IntArray, keyframe_ids: Sequence[int]) -> None:
+        """Forget landmarks that are culled or merged and that none but some keyframes saw."""
+        ids = np.sort(ids)
+        for k in keyframe_ids:
+            seen = self.keyframes[k].landmark_of
+            is_gone = is_among(seen, ids)
+            seen[is_gone] = self.landmarks.resolve(seen[is_gone])
+        for k in np.unique(self.landmarks.first_keyframe[ids]):
+            creator = self.keyframes[k]
+            creator.created_ids = creator.created_ids[~is_among(creator.created_ids, ids)]
+        self.landmarks.give_up(ids)
+
     def seen_by(self, keyframe_ids: Sequence[int]) -> IntArray:
         """Return the ids of the landmarks that any of the keyframes sees, in order."""
         seen = [self.keyframes[k].landmark_of for k in keyframe_ids]

@@ -54,7 +54,7 @@ class VoxelMeans:
         """Add a cloud's points."""
         most = self._count + len(cloud.points_m)
         if most > len(self._numbers):
-            self._make_room(most + most // 2)
+            self._make_room(most + most // 8)
         numbers = voxel_numbers(np.ascontiguousarray(cloud.points_m), self._voxel_m)
         each = np.column_stack([cloud.points_m, cloud.colours, np.ones(len(numbers))])
         self._count = add_to_voxels(
@@ -67,9 +67,10 @@ class VoxelMeans:
         self._table = hash_table(self._numbers[: self._count], room)
 
     def cloud(self) -> PointCloud:
-        """Return the means, in the order in which their voxels were met."""
+        """Return the means, in the order of the first points; nothing can be added any more."""
         sums = self._sums[: self._count]
-        return PointCloud(sums[:, :3] / sums[:, 6:], sums[:, 3:6] / sums[:, 6:])
+        sums[:, :6] /= sums[:, 6:]
+        return PointCloud(sums[:, :3], sums[:, 3:6])
 
 
 def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
