@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+import numba
 import numpy as np
 import pytest
 from tqdm import tqdm
@@ -143,6 +144,18 @@ def test_what_is_read_is_told_on_stderr(good, recording):
     assert told == f"reading {recording}"
     assert all(line.startswith("compiling") for line in once)
     assert "reading" not in good.out
+
+
+def test_the_wait_for_the_compiler_is_told_once(monkeypatch, capsys):
+    def run(_):
+        numba.njit(lambda number: number)(1)
+        numba.njit(lambda number: number)(1.0)
+
+    monkeypatch.setattr("slam.__main__._run", run)
+    assert main(["anything"]) == 0
+    assert capsys.readouterr().err.startswith("compiling the inner loops")
+    assert main(["anything", "-q"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_the_time_to_read_is_a_stage_too(good):
