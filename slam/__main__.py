@@ -260,10 +260,10 @@ def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
         with progress_bar("fetching", unit="B") as progress:
             path = resolve(name, progress)
     elif not (path := folder / "sequence").exists():
-        from slam.demo.recording import render_sequence
+        from slam.demo.separate_process import render_apart
 
         with progress_bar("rendering", unit="frame") as progress:
-            render_sequence(path, progress=progress)
+            render_apart(path, progress)
     note(f"reading {path}")
     sequence = open_sequence(path, arguments.settings.input)
     for warning in sequence.warnings:  # now, for they may tell why the run fails

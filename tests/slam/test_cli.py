@@ -190,11 +190,11 @@ def test_the_demo_is_rendered_once_into_the_run(monkeypatch, short_recording, ru
         shutil.copytree(rendered, path)
         progress(6, 6)
 
-    monkeypatch.setattr("slam.demo.recording.render_sequence", render)
+    monkeypatch.setattr("slam.demo.separate_process.render_apart", render)
     first = run_slam("demo", *QUICK)
     assert first.code == 0 and "6 of 6 tracked" in first.out
     assert (first.folder / "sequence" / "rgb.txt").is_file()
-    monkeypatch.setattr("slam.demo.recording.render_sequence", None)
+    monkeypatch.setattr("slam.demo.separate_process.render_apart", None)
     assert run_slam("demo", *QUICK).code == 0
 
 
