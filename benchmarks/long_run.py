@@ -373,7 +373,8 @@ def _by_lap(values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the middle of each lap, the median in it and the maximum."""
     length = min(len(values), round(FRAMES_PER_S * LAP_S))
     laps = values[: len(values) // length * length].reshape(-1, length)
-    return (np.arange(len(laps)) + 0.5) * length, np.median(laps, axis=1), laps.max(axis=1)
+    at = (np.arange(len(laps), dtype=np.float64) + 0.5) * length
+    return at, np.asarray(np.median(laps, axis=1), np.float64), laps.max(axis=1)
 
 
 def main(arguments: list[str] | None = None) -> int:

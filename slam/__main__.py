@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
+_COMPILING = "compiling the inner loops for this machine, which takes some seconds, once"
 _log = logging.getLogger("slam")
 
 _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift and explain it.
@@ -137,14 +138,16 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _work(typed: list[str]) -> int:
     told = parse(typed)
-    (_finish if told.finish else _run)(told)
+    # The heavy libraries are loaded from here on, so that --help and typing errors answer at once.
+    from slam.geometry.compiled import telling_of_compiling
+
+    with telling_of_compiling(lambda: note(_COMPILING)):
+        (_finish if told.finish else _run)(told)
     return 0
 
 
 def _run(arguments: Arguments) -> None:
-    # The heavy libraries are loaded here, so that --help and typing errors answer at once.
     from slam.datasets import Sessions
-    from slam.geometry.compiled import load_compiled
     from slam.geometry.features import search_images_on_one_thread
     from slam.geometry.freed_memory import share_between_threads
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
@@ -164,8 +167,6 @@ def _run(arguments: Arguments) -> None:
         # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
         gc.collect()
         gc.freeze()
-        if not load_compiled():
-            note("compiling the inner loops for this machine, which the first run waits for")
         slam = Slam(sessions.camera, recognizer, settings, claimed.unfinished)
         header = Header(
             arguments.title,
@@ -259,10 +260,10 @@ def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
         with progress_bar("fetching", unit="B") as progress:
             path = resolve(name, progress)
     elif not (path := folder / "sequence").exists():
-        from slam.demo.recording import render_sequence
+        from slam.demo.separate_process import render_apart
 
         with progress_bar("rendering", unit="frame") as progress:
-            render_sequence(path, progress=progress)
+            render_apart(path, progress)
     note(f"reading {path}")
     sequence = open_sequence(path, arguments.settings.input)
     for warning in sequence.warnings:  # now, for they may tell why the run fails

@@ -80,7 +80,8 @@ class BackEnd:
         keyframes: those that were taken in completely.
         attempts: every loop candidate so far, in the order they were looked at.
         loop_closer: what finds their loops; to be asked once the queue is empty.
-        corrections: one after the other, as they came.
+        corrections: each `Correction` of the run by its version; the first knows of no loop, the
+            last holds now. In a large graph only the last tells where keyframes are, T_world_kf.
     """
 
     def __init__(

@@ -54,7 +54,7 @@ def extract_problem(
     chosen = np.flatnonzero(of_free & (observers[inverse] >= _MIN_OBSERVERS))
     chosen = chosen[np.lexsort((camera_of[chosen], landmark_of[chosen]))]
     landmark_ids, point_of = np.unique(landmark_of[chosen], return_inverse=True)
-    starts = np.cumsum([0, *(len(each.features.pixels) for each in keyframes)])
+    starts = np.cumsum([0, *(len(each.landmark_of) for each in keyframes)])
     measured = Observations.joined([the_map.measured(k) for k in keyframe_ids])
     bundle = Bundle(
         T_world_cam=np.array([each.T_map_cam for each in keyframes]),
