@@ -29,14 +29,14 @@ class Figure:
         metric: APE or RPE.
         delta: that poses of a relative error are apart; empty for absolute ones.
         unit: m or deg.
-        count: of the errors.
+        count: of the errors; None where that is not known.
         values: what is told of them.
     """
 
     metric: str
     delta: str
     unit: str
-    count: int
+    count: int | None
     values: Statistics
 
     @property
@@ -101,14 +101,15 @@ def report(comparison: Comparison) -> dict[str, object]:
     """Return a comparison for programs: evidence and figures; None stands for unknown."""
     return {
         "evidence": evidence(comparison),
-        "figures": [_record(each) for each in figures(comparison)],
+        "figures": [record(each) for each in figures(comparison)],
         "rpe_by_length": [
-            _record(each) for errors in comparison.by_length for each in _relative(errors)
+            record(each) for errors in comparison.by_length for each in _relative(errors)
         ],
     }
 
 
-def _record(figure: Figure) -> dict[str, object]:
+def record(figure: Figure) -> dict[str, object]:
+    """Return a figure for programs."""
     values = {name: known(value) for name, value in figure.values._asdict().items()}
     keys = {"metric": figure.metric, "delta": figure.delta, "unit": figure.unit}
     return {**keys, **values, "count": figure.count}
@@ -117,7 +118,7 @@ def _record(figure: Figure) -> dict[str, object]:
 def csv_rows(names: dict[str, str], comparison: Comparison) -> list[dict[str, object]]:
     """Return a row for each figure, of what is compared and all of its evidence."""
     behind = evidence(comparison)
-    return [{**names, **_record(each), **behind} for each in figures(comparison)]
+    return [{**names, **record(each), **behind} for each in figures(comparison)]
 
 
 def in_brief(comparison: Comparison) -> str:

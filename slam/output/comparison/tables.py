@@ -100,9 +100,10 @@ def _escaped(text: str) -> str:
 
 
 def as_csv(rows: Sequence[dict[str, object]]) -> str:
-    """Return rows of the same keys, in full; what is not known is empty."""
+    """Return rows in full, under the keys of the one with most; what is not known is empty."""
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+    fullest = max(rows, key=len)
+    writer = csv.DictWriter(stream, list(fullest), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()
