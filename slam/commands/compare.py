@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from placerec.commands import usage
-from placerec.commands.console import put
+from placerec.commands.console import say
 from slam.commands.measuring import Measuring, write_files
 from slam.types import SlamError
 
@@ -59,10 +59,10 @@ def main(typed: list[str]) -> int:
     config = told.config()
     found = [side_by_side(group, config) for group in read_runs(told.runs)]
     shown = [table for each in found for table in tables(each)]
-    put("\n\n\n".join(map(as_text, shown)))
+    say("\n\n\n".join(map(as_text, shown)))
     if told.out is not None:
         _write(told.out, found, shown)
-        put(f"\nwritten to {told.out}")
+        say(f"\nwritten to {told.out}")
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from placerec.commands import usage
-from placerec.commands.console import answer, put
+from placerec.commands.console import answer, say
 from slam.commands.measuring import Measuring, write_files
 
 if TYPE_CHECKING:
@@ -61,10 +61,10 @@ def _work(typed: list[str]) -> int:
     config = told.config(has_times=has_times)
     comparison = compare(estimate.trajectory, truth.trajectory, config, by_row=not has_times)
     table = _table(told, files, comparison)
-    put(as_text(table))
+    say(as_text(table))
     if told.out is not None:
         _write(told, table, comparison, has_times)
-        put(f"{'written':<10} {told.out}")
+        say(f"{'written':<10} {told.out}")
     return 0
 
 
@@ -85,7 +85,7 @@ def _table(
     ]
     named = zip(("estimate", "truth"), (told.estimate, told.truth), files, strict=True)
     read = [
-        (name, f"{path}: {len(file.trajectory)} poses, read as {file.format.name}")
+        (name, f"{path}: {len(file.trajectory)} pose(s), read as {file.format.name}")
         for name, path, file in named
     ]
     return Table(

@@ -170,7 +170,8 @@ def _covered(comparison: Comparison) -> str:
         return ways
     return (
         f"{association.truth_covers:.1%} of the estimate's time by the truth,"
-        f" {association.estimate_covers:.1%} of the truth's by the estimate; {ways}"
+        f" {association.estimate_covers:.1%} of the truth's by the estimate, without gaps of over"
+        f" {MAX_GAP_S:g} s; {ways}"
     )
 
 

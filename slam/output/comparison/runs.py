@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Folders of finished runs, read to be compared: what was run, with which settings, what came."""
 
-import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ ESTIMATES = {
 }
 """All of a run, and what they are called in the keys of its summary."""
 _SAME = 0.5
+_LARGEST = 1e12  # of what a summary tells
 _REPLAY = "replay"  # of a run, whose recording the command does not name
 _SUMMARY, _SETTINGS, _TRUTH = "summary.json", "settings.toml", "groundtruth.txt"
 
@@ -61,8 +61,9 @@ class FinishedRun:
     def number(self, key: str) -> float | None:
         """Return a number of the summary, None where there is none."""
         value = self.summary.get(key)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        return float(value) if is_number and math.isfinite(value) else None  # type: ignore[arg-type]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return None
+        return float(value) if abs(value) < _LARGEST else None  # which no NaN is, either
 
     @property
     def warnings(self) -> int | None:

@@ -7,6 +7,8 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from placerec.errors import printable
+
 _WIDTH = 80
 _NAME = 10
 _LATEX = {
@@ -48,7 +50,7 @@ def as_text(table: Table) -> str:
         ).rstrip()
         for line in lines
     ]
-    return "\n".join([table.title, "", *shown, "", *_notes(table.notes)])
+    return "\n".join(map(printable, [table.title, "", *shown, "", *_notes(table.notes)]))
 
 
 def _notes(notes: Notes) -> Iterable[str]:

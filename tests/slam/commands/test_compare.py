@@ -207,10 +207,21 @@ def test_bad_input_ends_in_one_line(compare, typed, complaint):
     assert code == 2 and said.count("\n") == 1 and complaint in said
 
 
-@pytest.mark.parametrize("otherwise", [{"command": 3}, {"command": "run_slam 'a"}, {"warnings": 1}])
+@pytest.mark.parametrize(
+    "otherwise",
+    [
+        {"command": 3},
+        {"command": "run_slam 'a"},
+        {"command": "run_slam \x1b[2J"},
+        {"warnings": 1},
+        {"loops_tried": 10**400},
+        {"ate_without_loops_m": 0.01, "matched_share": 1e308},
+        {"rpe_interval_s": None, "ate_live_m": True},
+    ],
+)
 def test_a_summary_that_tells_less_is_taken_as_it_is(make_run, compare, otherwise):
     code, said = compare(make_run("a", **otherwise))
-    assert code == 0 and "a with loops 0.00" in said
+    assert code == 0 and "a with loops 0.00" in said and said.isprintable()
 
 
 def test_help_teaches_on_one_screen_and_loads_nothing_heavy(monkeypatch):
