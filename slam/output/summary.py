@@ -14,7 +14,7 @@ from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.result import SlamResult
 from slam.types import RejectionReason
 
-_NO_TRUTH = (("ATE", "not known: no ground truth to compare with"),)
+_NO_TRUTH = (("error", "not known: no ground truth to compare with"),)
 _TRAJECTORIES = ("odometry", "live", "without_loops", "corrected", "smoothed")
 
 

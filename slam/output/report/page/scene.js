@@ -51,17 +51,26 @@ const scene = (() => {
 
   /** Return a line over each loop, with a mark in its middle. */
   function loopLines(group) {
-    const lines = { x: [], y: [], z: [], customdata: [] };
-    data.loops.forEach((loop, number) => {
+    const lines = { x: [], y: [], z: [] };
+    data.loops.forEach((loop) => {
       const [a, b] = loop.pair.map(keyframeFrame);
       if (loop.group !== group || a < 0 || b < 0) return;
       ["x", "y", "z"].forEach((name, i) => {
         const ends = [shown[3 * a + i], shown[3 * b + i]];
         lines[name].push(ends[0], (ends[0] + ends[1]) / 2, ends[1], null);
       });
-      lines.customdata.push(number, number, number, number);
     });
     return lines;
+  }
+
+  /** Return the loops that can be clicked: number and both ends, doubtful ones first. */
+  function shownLoops() {
+    if (!el("showloops").checked) return [];
+    const at = (frame) => [0, 1, 2].map((axis) => shown[3 * frame + axis]);
+    return data.loops
+      .map((loop, number) => [number, ...loop.pair.map(keyframeFrame)])
+      .filter(([number, a, b]) => data.loops[number].group !== "rejected" && a >= 0 && b >= 0)
+      .map(([number, a, b]) => [number, at(a), at(b)]);
   }
 
   function chosenLine() {
@@ -101,7 +110,7 @@ const scene = (() => {
     const inRange = order.map((frame) => (range && frame >= range[0] && frame <= range[1] ? frame : -1));
     const parts = [
       [TRACE.range, { ...points(shown, inRange), customdata: order }],
-      [TRACE.path, { ...points(shown, order), customdata: order, line: pathLook(xyz), name: NAMES[Math.round(stage)] }],
+      [TRACE.path, { ...points(shown, order), customdata: order, line: pathLook(xyz), name: `slider: ${NAMES[Math.round(stage)]}` }],
       ...GROUPS.map((group, i) => [TRACE.loops + i, loopLines(group)]),
       [TRACE.chosen, chosenLine()],
       [TRACE.lost, points(shown, data.lost_frames)],
@@ -172,25 +181,28 @@ const scene = (() => {
     return { x: at[0], y: at[1], z: at[2] };
   }
 
-  function look(at) {
+  function cameraAt(view) {
     const [x, y, z] = data.up;
-    const camera = { up: { x, y, z }, eye: eye(at), center: { x: 0, y: 0, z: 0 } };
-    return Plotly.relayout(div, { "scene.camera": camera });
+    const farther = Math.max(1, (1.2 * div.clientHeight) / div.clientWidth); // where it is narrow
+    return { up: { x, y, z }, eye: eye(view.map((step) => farther * step)), center: { x: 0, y: 0, z: 0 } };
   }
+
+  const look = (camera) => Plotly.relayout(div, { "scene.camera": camera });
 
   function turn(event) {
     const steps = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], "+": [0, 0, -1], "-": [0, 0, 1] };
     const step = steps[event.key];
     if (!step) return;
     event.preventDefault();
-    const camera = div._fullLayout.scene._scene.getCamera().eye;
-    const at = [camera.x, camera.y, camera.z];
+    const camera = div._fullLayout.scene._scene.getCamera();
+    const at = [camera.eye.x, camera.eye.y, camera.eye.z];
     const [right, away, up] = [at[plane[0]], at[plane[1]], sign * at[upAxis]];
     const flat = Math.hypot(right, away);
     const far = Math.hypot(flat, up) * 1.15 ** step[2];
     const around = Math.atan2(away, right) + 0.12 * step[0];
     const high = Math.min(1.5, Math.max(-1.5, Math.atan2(up, flat) + 0.12 * step[1]));
-    look([far * Math.cos(high) * Math.cos(around), far * Math.cos(high) * Math.sin(around), far * Math.sin(high)]);
+    const flatter = far * Math.cos(high);
+    look({ ...camera, eye: eye([flatter * Math.cos(around), flatter * Math.sin(around), far * Math.sin(high)]) });
   }
 
   function draw() {
@@ -198,20 +210,21 @@ const scene = (() => {
       title: { text: `${name} (m)` }, color: colour("soft"), gridcolor: colour("line"), showbackground: false,
       zerolinecolor: colour("line"), showspikes: false,
     });
-    const [x, y, z] = data.up;
     return Plotly.react(div, traces(), layout({
       margin: { l: 0, r: 0, t: 0, b: 0 },
       hovermode: "closest",
       legend: { orientation: "h", y: 1, yanchor: "top", x: 0, bgcolor: "rgba(0,0,0,0)" },
       scene: {
         aspectmode: "data", xaxis: side("x"), yaxis: side("y"), zaxis: side("z"), dragmode: "orbit",
-        camera: { up: { x, y, z }, eye: eye(VIEWS.corner) },
+        camera: div._fullLayout?.scene._scene.getCamera() ?? cameraAt(VIEWS.corner), // as it was turned
       },
     }), { ...PLOT, toImageButtonOptions: { format: "png", scale: 3, filename: "path" } });
   }
 
   function tellStage() {
-    el("stagename").value = Number.isInteger(stage) ? NAMES[stage] : `between ${NAMES[Math.floor(stage)]} and ${NAMES[Math.ceil(stage)]}`;
+    const name = Number.isInteger(stage) ? NAMES[stage] : `between ${NAMES[Math.floor(stage)]} and ${NAMES[Math.ceil(stage)]}`;
+    el("stagename").value = name;
+    el("stage").setAttribute("aria-valuetext", name);
     el("enlarged").textContent = el("enlargement").value === "1" ? ""
       : `Distances from ${frames.truth ? "ground truth" : "the path with loops"} are drawn ${el("enlargement").value} times as large as they are; the map is not.`;
   }
@@ -242,16 +255,13 @@ const scene = (() => {
   function start() {
     draw();
     tellStage();
-    div.on("plotly_click", (event) => {
-      const { curveNumber, customdata } = event.points[0];
-      if (curveNumber >= TRACE.loops && curveNumber < TRACE.chosen) loops.select(customdata);
-    });
+    picking.onClick(div, shownLoops, loops.select);
     div.on("plotly_hover", (event) => {
       const { curveNumber, customdata } = event.points[0];
       if ([TRACE.path, TRACE.odometry, TRACE.truth].includes(curveNumber) && customdata >= 0) charts.mark(customdata);
     });
     div.addEventListener("keydown", turn);
-    el("viewpoint").addEventListener("change", (event) => look(VIEWS[event.target.value]));
+    el("viewpoint").addEventListener("change", (event) => look(cameraAt(VIEWS[event.target.value])));
     for (const id of ["colour", "showmap", "showloops"]) el(id).addEventListener("change", draw);
     el("enlargement").addEventListener("change", () => { draw(); tellStage(); });
     el("stage").addEventListener("input", (event) => {

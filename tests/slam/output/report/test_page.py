@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -318,6 +319,14 @@ def test_every_attempt_is_listed_and_every_reason_can_be_filtered(run, page: Pag
     assert {row[0] for row in rows} == {loop.kind for loop in loops} <= kinds
     assert {"accepted", RejectionReason.FEW_INLIERS.name.lower()} <= kinds
     assert [row[0] for row in rows[:2]] == ["outvoted", "outvoted"] and rows[0][1] == "doubtful"
+
+
+def test_the_library_comes_with_its_licence_and_cannot_end_its_script() -> None:
+    vendored = resources.files("slam.output.report").joinpath("page", "vendored")
+    library = vendored.joinpath("plotly-gl3d.min.js").read_text("utf-8")
+    assert "Licensed under the MIT license" in library[:300]
+    assert "</script" not in library.lower() and "<!--" not in library
+    assert vendored.joinpath("plotly.LICENSE").read_text("utf-8").startswith("MIT License")
 
 
 def test_the_file_is_replaced_as_a_whole(run, tmp_path: Path) -> None:
