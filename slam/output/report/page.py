@@ -29,7 +29,7 @@ _MOST_ROWS = 2000
 _KINDS = (FALSE, ACCEPTED, *(reason.name.lower() for reason in RejectionReason))
 _PACKAGES = ("loopclose", "gtsam", "numpy", "opencv-python-headless")
 _LIBRARY = "vendored/plotly-gl3d.min.js"
-_SCRIPTS = ("unpacking.js", "picking.js", "scene.js", "charts.js", "loops.js", "page.js")
+_SCRIPTS = ("unpacking.js", "picking.js", "map.js", "scene.js", "charts.js", "loops.js", "page.js")
 
 
 def write_report(

@@ -110,6 +110,8 @@ class Paths:
         """By how much drift has to be enlarged for paths to be told apart."""
         far_m = [stage[:, :3, 3] - self.reference_m for stage in self.stages]
         most_m = np.nanmax(np.abs(far_m), initial=0.0)
+        if most_m == 0.0:
+            return 1
         extent_m = np.ptp(self.corrected[:, :3, 3], axis=0).max() if len(self.times_s) else 0.0
         return next((k for k in _FACTORS if k * most_m <= _SHOWN_DRIFT * extent_m), 1)
 

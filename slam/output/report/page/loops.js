@@ -23,7 +23,10 @@ const loops = (() => {
     const images = loop.pair.map((keyframe) => data.pictures[keyframe]);
     const height = 3000 / data.aspect; // a view is 3000 wide, so that lines have whole numbers
     views.setAttribute("viewBox", `0 0 6000 ${height}`);
-    views.setAttribute("aria-label", `Keyframes ${loop.pair.join(" and ")} side by side, with ${loop.agreeing} matches that agree`);
+    views.setAttribute(
+      "aria-label",
+      `Keyframes ${loop.pair.join(" and ")} side by side, with ${loop.agreeing} matches that agree`,
+    );
     views.replaceChildren();
     views.toggleAttribute("hidden", !images.some(Boolean));
     el("nopicture").hidden = images.every(Boolean);
@@ -40,7 +43,11 @@ const loops = (() => {
         const [y1, y2] = [(ends[i + 1] / 65535) * height, (ends[i + 3] / 65535) * height];
         const style = `stroke:var(--${tint})`;
         views.append(create("line", { x1, y1, x2, y2, style, "stroke-width": 1, opacity }));
-        for (const [cx, cy] of [[x1, y1], [x2, y2]]) views.append(create("circle", { cx, cy, r: 22, style: `fill:var(--${tint})` }));
+        for (const [cx, cy] of [
+          [x1, y1],
+          [x2, y2],
+        ])
+          views.append(create("circle", { cx, cy, r: 22, style: `fill:var(--${tint})` }));
       }
     };
     if (el("others").checked) draw(loop.agreeing, ends.length / 4, "differ", 0.5);
@@ -49,21 +56,30 @@ const loops = (() => {
 
   function tell() {
     const loop = data.loops[chosen];
-    const [, , similarity, inliers] = [...rows[chosen].cells].map((cell) => cell.textContent.trim());
-    const [outcome, why] = ["label", "why"].map((name) => rows[chosen].querySelector(`.${name}`).textContent);
+    const [, , similarity, inliers] = [...rows[chosen].cells].map((cell) =>
+      cell.textContent.trim(),
+    );
+    const [outcome, why] = ["label", "why"].map(
+      (name) => rows[chosen].querySelector(`.${name}`).textContent,
+    );
     const [match, query] = loop.pair;
     el("pairname").textContent = `Keyframes ${match} and ${query}`;
     const facts = [
-      ["Outcome", outcome], ["Why", why], ["Similarity", similarity], ["Matches that agree", inliers],
+      ["Outcome", outcome],
+      ["Why", why],
+      ["Similarity", similarity],
+      ["Matches that agree", inliers],
       ["Taken", `${seconds(match)} s and ${seconds(query)} s`],
     ];
     if (loop.motion) facts.push(["Motion", loop.motion]);
-    el("numbers").replaceChildren(...facts.flatMap(([name, value]) => {
-      const [term, text] = [document.createElement("dt"), document.createElement("dd")];
-      term.textContent = name;
-      text.textContent = value;
-      return [term, text];
-    }));
+    el("numbers").replaceChildren(
+      ...facts.flatMap(([name, value]) => {
+        const [term, text] = [document.createElement("dt"), document.createElement("dd")];
+        term.textContent = name;
+        text.textContent = value;
+        return [term, text];
+      }),
+    );
   }
 
   function select(number, isQuiet) {
@@ -79,18 +95,21 @@ const loops = (() => {
     const top = rows[chosen].offsetTop - list.clientHeight / 2;
     if (!rows[chosen].contains(document.activeElement)) list.scrollTop = top;
     const box = el("inspect").getBoundingClientRect();
-    if (box.bottom < 80 || box.top > innerHeight - 80) el("inspect").scrollIntoView({ block: "center" });
+    if (box.bottom < 80 || box.top > innerHeight - 80)
+      el("inspect").scrollIntoView({ block: "center" });
   }
 
   function step(by) {
     const visible = [...body.rows].filter((row) => !row.hidden);
-    const next = visible[visible.indexOf(rows[chosen]) + by] || (by > 0 ? visible[0] : visible.at(-1));
+    const next =
+      visible[visible.indexOf(rows[chosen]) + by] || (by > 0 ? visible[0] : visible.at(-1));
     if (next) select(rows.indexOf(next));
   }
 
   function filter() {
     const kind = el("filter").value;
-    for (const row of rows) row.hidden = kind !== "" && !row.classList.contains(kind === "?" ? "doubtful" : kind);
+    for (const row of rows)
+      row.hidden = kind !== "" && !row.classList.contains(kind === "?" ? "doubtful" : kind);
   }
 
   function sort() {

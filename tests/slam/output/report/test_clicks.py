@@ -157,6 +157,22 @@ def test_what_is_zoomed_to_in_the_drift_plot_is_marked_in_space(opened) -> None:
     assert marked == 0
 
 
+def test_the_frame_under_the_pointer_is_marked_in_space(opened) -> None:
+    x, y, time_s = opened.run(
+        "(() => { const { xaxis, yaxis } = el('chart')._fullLayout;"
+        "el('chart').scrollIntoView({block: 'center', behavior: 'instant'});"
+        "const box = el('chart').getBoundingClientRect(), { x, y } = el('chart').data[0];"
+        "return [box.x + xaxis._offset + xaxis.d2p(x[150]),"
+        "box.y + yaxis._offset + yaxis.d2p(y[150]), x[150]]; })()"
+    )
+    opened.settle()
+    opened.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    opened.settle()
+    marked = opened.run("[...el('scene').data[10].x]")
+    frame = opened.run(f"frames.times_s.findIndex(s => Math.abs(s - {time_s}) < 1e-3)")
+    assert marked == [opened.run(f"el('scene').data[4].x[{frame}]")]
+
+
 @pytest.mark.parametrize("measure", ["lengths", "per_metre"])
 @pytest.mark.parametrize("along", ["times_s", "travelled_m"])
 def test_drift_is_drawn_over_time_and_along_the_path(opened, measure: str, along: str) -> None:
@@ -196,6 +212,14 @@ def test_filter_and_order(opened) -> None:
     assert values == sorted(values, reverse=True)
 
 
+def test_no_button_sends_anything_anywhere(opened) -> None:
+    titles = opened.run(
+        "[...document.querySelectorAll('.modebar-btn')].map(each => each.dataset.title)"
+    )
+    assert "Download plot" in titles
+    assert not any("hare" in title or "loud" in title for title in titles)
+
+
 def test_words_from_outside_do_nothing(opened) -> None:
     assert opened.run("document.title").startswith("</script><script>")
 
@@ -224,6 +248,16 @@ def test_on_paper_it_is_short_and_has_path_and_table(opened, page: Path) -> None
     assert not opened.run(f"({visible})('#scene')")
     opened.call("Emulation.setEmulatedMedia", media="")
     assert len(re.findall(rb"/Type\s*/Page\b", opened.paper())) <= 5
+
+
+def test_a_run_without_images_and_loops_has_a_page(opened, make, tmp_path: Path) -> None:
+    result = make(13, attempts=0).result
+    bare = [replace(each.preview, depth_m=0 * each.preview.depth_m) for each in result.keyframes]
+    keyframes = tuple(map(lambda each, seen: replace(each, preview=seen), result.keyframes, bare))
+    write_report(tmp_path / "bare.html", replace(result, keyframes=keyframes), None, "", "bare")
+    opened.open(tmp_path / "bare.html")
+    assert opened.run("el('scene').data[4].x.length") == 65
+    assert opened.complaints == []
 
 
 def test_without_webgl_the_path_is_drawn_flat(browser_without_webgl, page: Path) -> None:

@@ -64,6 +64,7 @@ def test_drift_is_enlarged_until_it_can_be_seen(run) -> None:
     drawn = paths.enlarged(paths.odometry[:, :3, 3], 10)
     assert_allclose(drawn[:, 0] - paths.corrected[:, 0, 3], 0.2)
     assert replace(paths, odometry=paths.corrected + 9.0).enlargement == 1
+    assert replace(paths, odometry=paths.corrected).enlargement == 1  # there is none
 
 
 def test_where_truth_is_unknown_nothing_is_enlarged(run) -> None:
