@@ -18,7 +18,9 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -70,7 +72,7 @@ def stepped(true: Trajectory, error: Callable[[int, float], FloatArray]) -> Traj
     return Trajectory(true.timestamps_s, np.array(T))
 
 
-def read_as(**wrong: object) -> Callable[[Sequence], Trajectory]:
+def read_as(**wrong: Any) -> Callable[[Sequence], Trajectory]:
     """Return what writes the truth down in another convention."""
     convention = Convention(**wrong)
     return lambda sequence: convention.as_given(truth(sequence))
@@ -115,7 +117,7 @@ def own(sequence: Sequence) -> Trajectory:
     return run(sequence, None, {}).odometry
 
 
-def own_read_as(**wrong: object) -> Callable[[Sequence], Trajectory]:
+def own_read_as(**wrong: Any) -> Callable[[Sequence], Trajectory]:
     """Return what writes that down in another convention."""
     convention = Convention(**wrong)
     return lambda sequence: convention.as_given(own(sequence))
@@ -171,7 +173,11 @@ def rows(sequence: Sequence, folder: Path) -> Iterator[tuple[str, Row]]:
     name = sequence.name.replace("rgbd_dataset_freiburg", "fr")
     for file in sorted((folder.parent / "odometry").glob(f"*_{name}*.txt")):
         poses = read_pose_file(file, sequence.timestamps_s).trajectory
-        yield file.stem, Row(lambda _, poses=poses: poses)
+        yield file.stem, Row(partial(_always, poses))
+
+
+def _always(poses: Trajectory, _: Sequence) -> Trajectory:
+    return poses
 
 
 def _also_in(given: Trajectory, live: Trajectory) -> Trajectory:

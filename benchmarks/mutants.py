@@ -47,8 +47,9 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2, help="mutants tried at the same time")
     asked = parser.parse_args()
     os.chdir(Path(__file__).parents[1])
-    from mutmut.__main__ import copy_also_copy_files, copy_src_dir, create_mutants
+    from mutmut.__main__ import create_mutants
     from mutmut.stats import status_by_exit_code
+    from mutmut.utils.file_utils import copy_also_copy_files, copy_src_dir
 
     copy_src_dir()
     copy_also_copy_files()

@@ -69,9 +69,9 @@ def load_problem(path: Path) -> Problem:
     factors = [factors.at(i) for i in range(factors.size())]
     odometry = [each for each in factors if abs(np.diff(each.keys())[0]) == 1]
     loops = [each for each in factors if abs(np.diff(each.keys())[0]) != 1]
-    pose, prior = gtsam.Pose2(), gtsam.PriorFactorPose2
-    if factors[0].dim() == 6:
-        pose, prior = gtsam.Pose3(), gtsam.PriorFactorPose3
+    is_flat = factors[0].dim() == 3
+    pose: Any = gtsam.Pose2() if is_flat else gtsam.Pose3()
+    prior: Any = gtsam.PriorFactorPose2 if is_flat else gtsam.PriorFactorPose3
     graph, chain = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(prior(0, pose, gtsam.noiseModel.Isotropic.Sigma(factors[0].dim(), 1e-4)))
     chain.insert(0, pose)
@@ -124,7 +124,7 @@ def stress(problem: Problem, kind: str, share: float, seed: int) -> Stress:
 def _anywhere(rng: np.random.Generator, corner: FloatArray, extent: FloatArray) -> Any:
     position = corner + rng.uniform(size=len(extent)) * extent
     if len(position) == 2:
-        return gtsam.Pose2(*position, rng.uniform(-np.pi, np.pi))
+        return gtsam.Pose2(position[0], position[1], rng.uniform(-np.pi, np.pi))
     quaternion = rng.normal(size=4)
     rotation = gtsam.Rot3.Quaternion(*(quaternion / np.linalg.norm(quaternion)))
     return gtsam.Pose3(rotation, position)
@@ -133,7 +133,7 @@ def _anywhere(rng: np.random.Generator, corner: FloatArray, extent: FloatArray) 
 def _nearby(rng: np.random.Generator, dimension: int, sigma_m: float) -> Any:
     position = sigma_m * rng.normal(size=dimension)
     if dimension == 2:
-        return gtsam.Pose2(*position, 0.2 * rng.normal())
+        return gtsam.Pose2(position[0], position[1], 0.2 * rng.normal())
     return gtsam.Pose3(gtsam.Rot3.Expmap(0.2 * rng.normal(size=3)), position)
 
 

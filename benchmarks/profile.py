@@ -17,16 +17,18 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 from unittest.mock import patch
 
 from slam.__main__ import main as run_slam
 from slam.stage_clock import StageClock
 
 SAMPLES_PER_S = 200
+_Key = TypeVar("_Key")
 _LOOK_EVERY_S = 0.05
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -41,7 +43,7 @@ class Profile:
     """
 
     def __init__(self) -> None:
-        self.stages: Counter[tuple[str, str]] = Counter()
+        self.stages: dict[tuple[str, str], float] = defaultdict(float)
         self.threads: dict[str, float] = {}
         self.total_s = 0.0
         self._worked: dict[tuple[int, str], float] = {}  # by thread number and name
@@ -73,7 +75,7 @@ class Profile:
         self.stages[main.name, "outputs"] = time.thread_time() - marks[-1]
         is_over.set()
         watcher.join()
-        self.threads = dict(sorted(self._by_thread().items(), key=lambda each: -each[1]))
+        self.threads = _most_first(self._by_thread())
         return code
 
     def _watch(self, is_over: threading.Event) -> None:
@@ -96,21 +98,26 @@ class Profile:
                 worked[number, names.get(number, "(of a library)")] = ticks / _TICKS_PER_S
         return worked
 
-    def _by_thread(self) -> Counter[str]:
-        threads: Counter[str] = Counter()
+    def _by_thread(self) -> dict[str, float]:
+        threads: dict[str, float] = defaultdict(float)
         for (_, name), seconds in self._worked.items():
             threads[name] += seconds
         return threads
 
     def table(self) -> str:
         """Return two Markdown tables: stages and threads, those with the most work first."""
-        stages = [(f"{thread}: {stage}", s) for (thread, stage), s in self.stages.most_common()]
+        by_stage = _most_first(self.stages).items()
+        stages = [(f"{thread}: {stage}", s) for (thread, stage), s in by_stage]
         parts = []
         for title, rows in (("stage", stages), ("thread", list(self.threads.items()))):
             parts += [f"| {title} | processor s | share of all |", "|---|---|---|"]
             parts += [f"| {name} | {s:.2f} | {s / self.total_s:.0%} |" for name, s in rows]
             parts += [f"| the whole run | {self.total_s:.2f} | 100% |", ""]
         return "\n".join(parts)
+
+
+def _most_first(seconds: dict[_Key, float]) -> dict[_Key, float]:
+    return dict(sorted(seconds.items(), key=lambda each: -each[1]))
 
 
 def _name(thread: threading.Thread) -> str:

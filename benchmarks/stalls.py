@@ -14,7 +14,7 @@ import gc
 import sys
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from sequences import find, machine
+from sequences import find, machine  # type: ignore[import-not-found]  # beside this script
 
 from placerec.recognizer import PlaceRecognizer, load
 from slam import Config, Slam, TrackedFrame, open_sequence
@@ -71,7 +71,7 @@ class Call:
     is_keyframe: bool = False
     ms: float = 0.0
     cpu_ms: float = 0.0
-    parts_ms: Counter[str] = field(default_factory=Counter)
+    parts_ms: dict[str, float] = field(default_factory=lambda: defaultdict(float))
 
 
 class Stopwatch:

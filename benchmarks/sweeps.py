@@ -139,6 +139,7 @@ def row(name: str, sequence: Sequence, recognizer: PlaceRecognizer, size: float)
     false_m = limits.false_loop_translation_m * size
     limits = limits.model_copy(update={"false_loop_translation_m": false_m})
     result = run(sequence, recognizer, Config(evaluation=limits))
+    assert sequence.ground_truth is not None
     drift = compare_drift(result, sequence.ground_truth, limits)
     verdicts = [loop.is_false for loop in drift.loops if loop.is_false is not None]
     tracked = len(result.trajectory)

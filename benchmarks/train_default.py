@@ -66,7 +66,7 @@ def main() -> int:
     alike = (scenes, options.ie_tower)
 
     def train(name: str, start: Path, *how: str | Path) -> Path:
-        folder = options.work / f"{options.loss}-{name}"
+        folder: Path = options.work / f"{options.loss}-{name}"
         if not (folder / WEIGHTS_NAME).exists():
             out = ("--out", folder, "--weights", start, "--loss", options.loss)
             _run("-m", "placerec", "train", *how, *out, *NETWORK)

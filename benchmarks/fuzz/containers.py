@@ -82,7 +82,7 @@ def _fill(writer: Any, is_ros1: bool) -> None:
     types = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     serialize = types.serialize_ros1 if is_ros1 else types.serialize_cdr
 
-    def make(name: str, **fields: object) -> Any:
+    def make(name: str, **fields: Any) -> Any:
         return types.types[name.replace("/", "/msg/")](**fields)
 
     def header(time_ns: int) -> Any:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import scipy.io
 import torch
+from numpy.typing import NDArray
 
 from benchmarks.fuzz.containers import archive_of, bag_of, caffemodel_of, exr_of
 from placerec.certificate import read_certificate
@@ -237,7 +238,9 @@ def _ledger() -> Files:
     motion = {"translation_m": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
     counts = {"query_id": 9, "match_id": 1, "matches": 50, "inliers": 40}
     numbers = ("query_timestamp_s", "match_timestamp_s", "similarity", "min_similarity")
-    record = counts | dict.fromkeys(numbers, 0.5) | {"accepted": True, "weight": 1.0}
+    record: dict[str, Any] = (
+        counts | dict.fromkeys(numbers, 0.5) | {"accepted": True, "weight": 1.0}
+    )
     record |= dict.fromkeys(("reason", "explanation", "measured", "needed", "margin", "truth"))
     record["T_match_query"] = {**motion, "information": [1.0] * 21}
     return {"loops.jsonl": (json.dumps(record) + "\n").encode() * 2}
@@ -261,7 +264,8 @@ def _saved(values: object) -> bytes:
 
 def _arrays() -> bytes:
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{"conv1.weight": _DEPTH.astype(np.float32)})
+    arrays: dict[str, Any] = {"conv1.weight": _DEPTH.astype(np.float32)}
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
@@ -343,16 +347,17 @@ _FOLDERS = [
     _place_dataset("frame-pairs", _frame_pairs, "ground_truth.csv"),
     _place_dataset("oxford", _oxford, "NewCollegeGroundTruth.mat", text=False),
 ]
+_IMAGE_READERS: list[tuple[str, NDArray[Any], Callable[[Path], object]]] = [
+    (".png", _IMAGE, read_color),
+    (".jpg", _IMAGE, read_image),
+    (".bmp", _IMAGE, read_color),
+    (".tiff", _DEPTH, partial(read_depth, depth_scale=1000.0)),
+    (".pgm", _DEPTH, partial(read_depth, depth_scale=1000.0)),
+    (".webp", _IMAGE, find_fault),
+]
 _IMAGES = [
     _of_file(f"image{kind}", f"image{kind}", partial(_image, kind, image), read, False)
-    for kind, image, read in [
-        (".png", _IMAGE, read_color),
-        (".jpg", _IMAGE, read_image),
-        (".bmp", _IMAGE, read_color),
-        (".tiff", _DEPTH, partial(read_depth, depth_scale=1000.0)),
-        (".pgm", _DEPTH, partial(read_depth, depth_scale=1000.0)),
-        (".webp", _IMAGE, find_fault),
-    ]
+    for kind, image, read in _IMAGE_READERS
 ]
 _BAGS = [
     Reader(f"bag/{kind}", file, partial(bag_of, kind), partial(_bag, name=name), False)

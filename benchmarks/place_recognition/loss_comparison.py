@@ -141,7 +141,7 @@ def _learn(
         rows = np.concatenate([sets.positives, sets.negatives], axis=1)
         embeddings = _embed(layer, values[torch.from_numpy(rows.ravel())])
         embeddings = embeddings.reshape(*rows.shape, DIMENSION)
-        positives, negatives = embeddings.split(RULES.positives, dim=1)
+        positives, negatives = embeddings[:, : RULES.positives], embeddings[:, RULES.positives :]
         if way == OURS:
             rng = np.random.default_rng([seed, step])
             partners = torch.from_numpy(draw_partners(len(sets), RULES.negatives, rng))

@@ -32,7 +32,7 @@ from placerec.evaluation.precision_recall import compare, judge
 from placerec.evaluation.second_look import LOOKED_AT
 from slam.config import Config
 from slam.datasets.formats import open_sequence
-from slam.geometry.features import FeatureExtractor
+from slam.geometry.features import FeatureExtractor, grey_of
 from slam.loops.second_look import agreements, rerank, strongest
 from slam.types import Camera, Features, FloatArray
 
@@ -79,17 +79,18 @@ def main() -> int:
 def _looked_at(dataset: PlaceDataset, limit: float) -> tuple[PlaceDataset, list[Features], Camera]:
     """Return the frames that have depth, with their features."""
     assert dataset.positions_m is not None and dataset.quaternions is not None
-    assert dataset.timestamps_s is not None
+    stamps_s = dataset.timestamps_s
+    assert stamps_s is not None
     poses = dataset.positions_m, dataset.quaternions
     dataset = replace(dataset, same_place=pose_distance(*poses, *poses) < limit)
     config = Config()
     sequence = open_sequence(dataset.paths[0].parents[1], config.input)
     extractor = FeatureExtractor(sequence.camera, config.features)
-    wanted = {round(stamp_s, 4): k for k, stamp_s in enumerate(dataset.timestamps_s.tolist())}
+    wanted = {round(stamp_s, 4): k for k, stamp_s in enumerate(stamps_s.tolist())}
     found: dict[int, Features] = {}
     for frame in sequence:
         if (k := wanted.get(round(frame.timestamp_s, 4))) is not None:
-            found[k] = extractor.extract(frame)
+            found[k] = extractor.extract(grey_of(frame.rgb), frame.depth_m)
     kept = np.isin(np.arange(len(dataset)), list(found))
     return dataset.subset(kept), [found[k] for k in sorted(found)], sequence.camera
 
@@ -135,7 +136,9 @@ def _rigid(points: FloatArray, others: FloatArray) -> tuple[Rotation, FloatArray
     return R, other - R.apply(middle)
 
 
-def _print(name: str, similarities: FloatArray, dataset: PlaceDataset, pair_ms: float) -> None:
+def _print(
+    name: str, similarities: Similarities | FloatArray, dataset: PlaceDataset, pair_ms: float
+) -> None:
     found = judge(similarities.astype(np.float32), dataset)
     within = bootstrap(found, dataset)
     ap, recall = within.average_precision, within.recall_at_full_precision

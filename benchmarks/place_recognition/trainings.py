@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from placerec.datasets import LabelledImages, PlaceDataset, open_dataset
 from placerec.networks.weights_file import save_weights
@@ -33,13 +34,19 @@ RECIPE = TrainingConfig(
 MOBILENET = Path("mobilenet_v2/mobilenet_v2.npz")
 SQUEEZENET = Path("squeezenet_v1.0/squeezenet_v1.0.npz")
 """Published weights, below the folder of trunk weights; the other trunks start from scratch."""
+
+
+def _plan(trunk: str, **changes: Any) -> TrainingConfig:
+    return replace(RECIPE, trunk=trunk, **changes)
+
+
 TRUNK_PLANS = {
-    "mobilenet_v2": replace(RECIPE, weights=MOBILENET, block="block12", size=(160, 120), steps=120),
-    "squeezenet": replace(
-        RECIPE, trunk="squeezenet", weights=SQUEEZENET, block="fire5", size=(160, 120), steps=60
+    "mobilenet_v2": _plan(
+        "mobilenet_v2", weights=MOBILENET, block="block12", size=(160, 120), steps=120
     ),
-    "alexnet": replace(RECIPE, trunk="alexnet", block="conv5", size=(160, 120), steps=60),
-    "vgg16": replace(RECIPE, trunk="vgg16", block="conv3_3", size=(96, 72), steps=15),
+    "squeezenet": _plan("squeezenet", weights=SQUEEZENET, block="fire5", size=(160, 120), steps=60),
+    "alexnet": _plan("alexnet", block="conv5", size=(160, 120), steps=60),
+    "vgg16": _plan("vgg16", block="conv3_3", size=(96, 72), steps=15),
 }
 LOSSES = ("multi-constraint", "triplet")
 SEEDS = (0, 1, 2)
@@ -47,8 +54,8 @@ DIMENSIONS = (4096, 1000)
 """Beside the recipe's own."""
 MAIN_TRUNK = "mobilenet_v2"
 """What the experiments are made with."""
-PAPERS_MARGINS = {"alpha": 0.5, "beta": 0.3, "gamma_prime": 0.4}
-PAPERS_CONDITIONS = {
+PAPERS_MARGINS: dict[str, Any] = {"alpha": 0.5, "beta": 0.3, "gamma_prime": 0.4}
+PAPERS_CONDITIONS: dict[str, Any] = {
     "covariance": False,
     "random_last_layer": True,
     "dimension": 1000,

@@ -177,4 +177,4 @@ def _wallpaper(photograph: Image, directions: FloatArray) -> FloatArray:
     turns = (3.0 * azimuth / np.pi) % 2.0
     columns = np.minimum(turns, 2.0 - turns) * (width - 1)
     rows = (0.5 - elevation / np.pi) * (height - 1)
-    return photograph[rows.astype(int), columns.astype(int)].astype(np.float64)
+    return np.asarray(photograph[rows.astype(int), columns.astype(int)], np.float64)

@@ -275,8 +275,8 @@ def path(scene: Scene, rng: np.random.Generator) -> list[FloatArray]:
     height_m = np.full(PATH_VIEWS, TABLE_HEIGHT_M + 0.1)
     targets_m = np.stack([to_and_fro(0.45 * depth_m), to_and_fro(0.45 * width_m), height_m], axis=1)
     distances_m, pitch_rad = 1.1 + to_and_fro(0.4), -0.49 + to_and_fro(0.35)
-    angles = zip(targets_m, distances_m, yaw_rad, pitch_rad, roll_rad, strict=True)
-    return [scene.orbit(*at) for at in angles]
+    orbits = zip(targets_m, distances_m, yaw_rad, pitch_rad, roll_rad, strict=True)
+    return [scene.orbit(*at) for at in orbits]
 
 
 def photographed(scene: Scene, T_world_cam: FloatArray, rng: np.random.Generator) -> Image:

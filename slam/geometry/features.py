@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam.config import PYRAMID_SCALE, FeaturesConfig
 from slam.geometry.compiled import compiled, count_bits, inlined
 from slam.geometry.reprojection import pinhole
-from slam.types import Camera, Features, FloatArray, Frame, IntArray
+from slam.types import Camera, Features, FloatArray, IntArray
 
 
 def straightened(features: Features, camera: Camera, velocity: FloatArray) -> Features:
@@ -85,6 +85,11 @@ def search_images_on_one_thread() -> None:
     cv2.setNumThreads(1)
 
 
+def grey_of(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the (H, W) brightness of a (H, W, 3) image."""
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
 class FeatureExtractor:
     """Finds ORB features spread over the image and places those with depth in space."""
 
@@ -103,9 +108,8 @@ class FeatureExtractor:
             fastThreshold=config.fast_threshold,
         )
 
-    def extract(self, frame: Frame) -> Features:
-        """Return the frame's features; there may be none in a blank image."""
-        grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
+    def extract(self, grey: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Features:
+        """Return the features of a (H, W) image with depth in metres; a blank one may have none."""
         keypoints = self._orb.detect(grey, None)
         strength = np.array([k.response for k in keypoints], np.float32)
         chosen = _spread(_pixels(keypoints), strength, self._config.count)
@@ -115,7 +119,7 @@ class FeatureExtractor:
         pixels = _pixels(keypoints)
         undistorted_px = undistort(pixels, self._camera)
         u, v = np.rint(pixels).astype(np.int64).T
-        depth_m = frame.depth_m[v, u]
+        depth_m = depth_m[v, u]
         depth_m[~((depth_m > 0.0) & np.isfinite(depth_m))] = np.nan
         return Features(
             pixels=pixels,

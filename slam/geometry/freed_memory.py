@@ -4,12 +4,18 @@
 import ctypes
 from contextlib import suppress
 
-_M_ARENA_MAX = -8  # of malloc.h
+_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # of malloc.h
+_LARGE_BYTES = 4 << 20  # an image is smaller
 
 
 def share_between_threads() -> None:
-    """Let threads started from now on use what others freed; else each keeps it for itself."""
+    """Let threads started from now on use what others freed; else each keeps it for itself.
+
+    What is larger than an image goes back to the system at once, and grows without being copied,
+    however often such arrays were freed before.
+    """
     _call("mallopt", _M_ARENA_MAX, 1)
+    _call("mallopt", _M_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def give_back() -> None:

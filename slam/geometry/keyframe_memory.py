@@ -5,10 +5,10 @@ import math
 import os
 import tempfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,15 @@ from slam.types import Features, Frame, SlamError
 
 _JPEG_QUALITY = 90
 _ZLIB_LEVEL = 1  # as a PNG of level 1, in two thirds of the time
+_READ_LAST = 2  # keyframes that are compared: 65 kB each, whose arrays are asked for by turns
+
+_Layout = tuple[tuple[np.dtype[Any], tuple[int, ...]], ...]
 
 
 class KeyframeMemory:
     """Keeps small frames and features until the last of them is forgotten.
 
-    Colour becomes a JPEG; all else is kept to the last bit.
+    Colour becomes a JPEG; all else is kept to the last bit. While one thread keeps, any may read.
     """
 
     def __init__(self, most_bytes: int, depth_scale: float, folder: Path | None = None) -> None:
@@ -38,6 +41,7 @@ class KeyframeMemory:
         self._depth_scale = np.float32(depth_scale)
         self._folder = folder
         self._file: _NamelessFile | None = None
+        self._read_features = lru_cache(_READ_LAST)(_features)
 
     def keep_image(self, frame: Frame) -> Frame:
         """Return the frame again, with images that are decoded whenever they are asked for.
@@ -57,16 +61,13 @@ class KeyframeMemory:
 
         Where the file cannot be written, they stay in memory: their keyframe is in the map already.
         """
-        arrays = {each.name: getattr(features, each.name) for each in fields(Features)}
-        if self._has_room(sum(each.nbytes for each in arrays.values())):
+        arrays = [getattr(features, each.name) for each in fields(Features)]
+        if self._has_room(sum(each.nbytes for each in arrays)):
             return features
+        layout = tuple((each.dtype, each.shape) for each in arrays)
         with suppress(SlamError):
-            return _KeptFeatures(
-                {
-                    name: (self._in_file(array.tobytes()), array.dtype, array.shape)
-                    for name, array in arrays.items()
-                }
-            )
+            read = self._in_file(b"".join(each.tobytes() for each in arrays))
+            return _KeptFeatures.read_by(partial(self._read_features, read, layout))
         return features
 
     def _has_room(self, size: int) -> bool:
@@ -134,30 +135,37 @@ class _KeptFrame(Frame):
         return Frame, (self.timestamp_s, self.rgb, self.depth_m)
 
 
-_InFile = tuple[Callable[[], bytes], np.dtype[Any], tuple[int, ...]]
-
-
 class _KeptFeatures(Features):
-    """Features that are read anew whenever they are asked for."""
+    """Features that are read anew when they are asked for, unless they were just read."""
 
-    def __init__(self, in_file: Mapping[str, _InFile]) -> None:
-        self._in_file = in_file
+    _read: Callable[[], Features]
+
+    @classmethod
+    def read_by(cls, read: Callable[[], Features]) -> "_KeptFeatures":
+        """Return features without any array; one that `dataclasses.replace` makes has all."""
+        features = cls.__new__(cls)
+        features._read = read
+        return features
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        # Python asks here for what it finds nowhere else.
+        if name not in self.__dataclass_fields__:
+            raise AttributeError(name)
+        array: NDArray[Any] = getattr(self._read(), name)
+        return array
 
     def __reduce__(self) -> tuple[type[Features], tuple[object, ...]]:
         # A copy, also one for another process, is like any other.
         return Features, tuple(getattr(self, each.name) for each in fields(Features))
 
 
-def _read_anew(name: str) -> property:
-    def read(features: _KeptFeatures) -> NDArray[Any]:
-        content, dtype, shape = features._in_file[name]
-        return np.frombuffer(content(), dtype).reshape(shape).copy()  # to be written to, as others
-
-    return property(read)
-
-
-for _field in fields(Features):
-    setattr(_KeptFeatures, _field.name, _read_anew(_field.name))
+def _features(read: Callable[[], bytes], layout: _Layout) -> Features:
+    content, start, arrays = read(), 0, []
+    for dtype, shape in layout:
+        array: NDArray[Any] = np.ndarray(shape, dtype, content, start)
+        arrays.append(array.copy())  # aligned and to be written to, as loops are compiled for
+        start += array.nbytes
+    return Features(*arrays)
 
 
 def _same(content: bytes) -> bytes:

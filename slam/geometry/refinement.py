@@ -33,8 +33,10 @@ class RefinedPose:
 
     Attributes:
         T_world_cam: (4, 4).
-        hessian: (6, 6) of the robust cost, for a tangent on the right of T_world_cam.
-        inlier_mask: (M,) bool.
+        hessian: (6, 6), Gauss and Newton's, of the robust cost of whitened residuals, before the
+            last step: the information of the tangent [rotation; translation] in the camera's frame,
+            `T_world_cam @ exp(xi)`; rad^-2, rad^-1 m^-1, m^-2.
+        inlier_mask: (M,) bool, those that agree with it.
     """
 
     T_world_cam: FloatArray

@@ -103,16 +103,11 @@ class Observations:
         return np.asarray((_pixel_lengths(residuals) < LIMIT) & (points_cam_m[:, 2] > 0.0))
 
 
-def robust_costs(residuals: FloatArray) -> FloatArray:
-    """Return the (M,) costs of (M, 3) whitened residuals: Huber's of pixels, Cauchy's of depth."""
-    lengths, weights = _pixel_lengths(residuals), robust_weights(residuals)[:, 0]
-    pixel_costs = weights * lengths**2 * (1.0 - 0.5 * weights)
-    spread = 1.0 + (residuals[:, 2] / CAUCHY) ** 2
-    return np.asarray(pixel_costs + 0.5 * CAUCHY**2 * np.log(spread))
-
-
 def robust_weights(residuals: FloatArray) -> FloatArray:
-    """Return the weights (M, 3), 0 to 1, that make the squares of residuals grow as their costs."""
+    """Return the weights (M, 3), 0 to 1, of (M, 3) whitened residuals.
+
+    They make the squares grow as the robust costs do: Huber's of pixels, Cauchy's of depth.
+    """
     weights = np.empty_like(residuals)
     pixel_weights = np.minimum(1.0, HUBER / np.maximum(_pixel_lengths(residuals), 1e-12))
     weights[:, :2] = pixel_weights[:, None]

@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.geometry.compiled import compiled
 from slam.types import Rejection, RejectionReason
 
 # An image this much less sharp than the last so many are is smeared. The least sharp images of
@@ -21,12 +22,12 @@ class SmearFinder:
     def __init__(self) -> None:
         self._sharpness: list[float] = []
 
-    def find(self, rgb: NDArray[np.uint8]) -> Rejection | None:
-        """Take the next (H, W, 3) image and say if it is smeared by far more than others are.
+    def find(self, grey: NDArray[np.uint8]) -> Rejection | None:
+        """Take the next (H, W) image and say if it is smeared by far more than others are.
 
         A corner may then be seen anywhere along its smear, and all agree on the wrong place.
         """
-        sharp = sharpness(rgb)
+        sharp = sharpness(grey)
         if np.isinf(sharp):  # blank, which is for others to say
             return None
         self._sharpness = [*self._sharpness, sharp][-_USUAL_IMAGES:]
@@ -34,14 +35,13 @@ class SmearFinder:
         return Rejection(RejectionReason.SMEARED, sharp, needed) if sharp < needed else None
 
 
-def sharpness(rgb: NDArray[np.uint8]) -> float:
-    """Return how much fine structure a (H, W, 3) image has, of what its coarse structure promises.
+def sharpness(grey: NDArray[np.uint8]) -> float:
+    """Return how much fine structure a (H, W) image has, of what its coarse structure promises.
 
     Both are the edges across which the fewest are: a smear takes away those across its direction,
     and the fine ones first. What the image shows has little influence. An image without structure
     has none that could be smeared: infinite.
     """
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     fine = cv2.resize(grey, _FINE_PX, interpolation=cv2.INTER_AREA)
     coarse = cv2.resize(fine, _COARSE_PX, interpolation=cv2.INTER_AREA)
     promised = _weakest_edges(coarse)
@@ -50,7 +50,24 @@ def sharpness(rgb: NDArray[np.uint8]) -> float:
 
 def _weakest_edges(grey: cv2.typing.MatLike) -> float:
     """Return the mean squared slope in the direction in which that is least."""
-    slopes = np.array(cv2.spatialGradient(grey), np.float32).reshape(2, -1)
-    slopes -= slopes.mean(axis=1, keepdims=True)
-    covariance = slopes @ slopes.T / slopes.shape[1]
-    return max(float(np.linalg.eigvalsh(covariance)[0]), 0.0)
+    across, down = (np.asarray(each, np.int16) for each in cv2.spatialGradient(grey))
+    across_squared, both, down_squared = _covariance(across, down)
+    mean, difference = (across_squared + down_squared) / 2, (across_squared - down_squared) / 2
+    return max(mean - float(np.hypot(difference, both)), 0.0)
+
+
+@compiled
+def _covariance(a: NDArray[np.int16], b: NDArray[np.int16]) -> tuple[float, float, float]:
+    """Return the variance of (H, W) values, their covariance with others, and those' variance."""
+    sum_a = sum_b = sum_aa = sum_ab = sum_bb = 0.0
+    for row in range(a.shape[0]):
+        for column in range(a.shape[1]):
+            x, y = float(a[row, column]), float(b[row, column])
+            sum_a, sum_b = sum_a + x, sum_b + y
+            sum_aa, sum_ab, sum_bb = sum_aa + x * x, sum_ab + x * y, sum_bb + y * y
+    mean_a, mean_b = sum_a / a.size, sum_b / a.size
+    return (
+        sum_aa / a.size - mean_a * mean_a,
+        sum_ab / a.size - mean_a * mean_b,
+        sum_bb / a.size - mean_b * mean_b,
+    )

@@ -15,7 +15,7 @@ from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.features import match_descriptors
 from slam.geometry.reprojection import Observations, pinhole
 from slam.geometry.triangulation import triangulate
-from slam.mapping.landmarks import UNSEEN, Landmarks
+from slam.mapping.landmarks import UNSEEN, Landmarks, is_among
 from slam.types import Camera, Features, FloatArray, IntArray
 
 _MIN_COSINE = 0.5  # a landmark seen from more than 60 degrees aside looks different
@@ -145,8 +145,8 @@ class LandmarkMap:
         The (P,) ids are all different.
         """
         keyframe = self.keyframes[keyframe_id]
-        seen = self.landmarks.resolve(keyframe.landmark_of)
-        ids = ids[self.landmarks.is_alive[ids] & ~np.isin(ids, seen)]
+        seen = self.landmarks.distinct(keyframe.landmark_of)
+        ids = ids[self.landmarks.is_alive[ids] & ~is_among(ids, seen)]
         grid = FeatureGrid(keyframe.features, self.camera)
         pairs = self.search(grid, keyframe.T_map_cam, ids, radius_px)
         T_cam_map = se3.inverse(keyframe.T_map_cam)
@@ -157,6 +157,18 @@ class LandmarkMap:
         is_free = there == UNSEEN
         self._observe(keyframe_id, pairs[is_free])
         self.landmarks.merge(pairs[~is_free, 0], there[~is_free])
+
+    def forget_gone(self, ids: IntArray, keyframe_ids: Sequence[int]) -> None:
+        """Forget landmarks that are culled or merged and that none but some keyframes saw."""
+        ids = np.sort(ids)
+        for k in keyframe_ids:
+            seen = self.keyframes[k].landmark_of
+            is_gone = is_among(seen, ids)
+            seen[is_gone] = self.landmarks.resolve(seen[is_gone])
+        for k in np.unique(self.landmarks.first_keyframe[ids]):
+            creator = self.keyframes[k]
+            creator.created_ids = creator.created_ids[~is_among(creator.created_ids, ids)]
+        self.landmarks.give_up(ids)
 
     def seen_by(self, keyframe_ids: Sequence[int]) -> IntArray:
         """Return the ids of the landmarks that any of the keyframes sees, in order."""

@@ -10,12 +10,15 @@ from slam.types import FloatArray, IntArray
 UNSEEN = -1
 """What stands for no landmark, and for no keyframe, among their ids."""
 _OBSERVERS = 8  # keyframes remembered per landmark; more would not change which are covisible
-_SPARE_ROWS = 1 << 15
+_SPARE_ROWS = 1 << 16
 _FAR_APART = 64  # times as many ids as are asked for: sorting those is then less work
 
 
 class Landmarks:
     """A table of landmarks; an id is a row, and rows never move.
+
+    Two of three landmarks are soon gone. Once nobody knows their ids any more, their rows become
+    those of others, before the table grows.
 
     Attributes:
         positions_m: (P, 3) float64, odometry frame.
@@ -40,22 +43,32 @@ class Landmarks:
         self.sightings = np.zeros(0, dtype=np.int32)
         self.is_alive = np.zeros(0, dtype=bool)
         self._merged_into = np.zeros(0, dtype=np.int32)
+        self._unused: list[int] = []
 
     def __len__(self) -> int:
         return self._count
 
     def add(self, positions_m: FloatArray, keyframe_id: int) -> IntArray:
         """Add landmarks at (N, 3) positions and return their ids; `see` has to follow."""
-        ids = np.arange(self._count, self._count + len(positions_m))
-        self._count += len(positions_m)
-        if self._count > len(self.is_alive):
-            self._grow(self._count + _SPARE_ROWS)
+        ids = self._rows(len(positions_m))
         self.positions_m[ids] = positions_m
         self.observers[ids] = UNSEEN
+        self.sightings[ids] = 0
         self.first_keyframe[ids] = keyframe_id
         self.is_alive[ids] = True
         self._merged_into[ids] = ids
         return ids
+
+    def _rows(self, count: int) -> IntArray:
+        """Return rows for so many landmarks."""
+        missing = self._count + count - len(self.is_alive)
+        again = self._unused[: max(missing, 0)]
+        if len(again) < missing:
+            again = []
+            self._grow(self._count + count + _SPARE_ROWS)
+        del self._unused[: len(again)]
+        first, self._count = self._count, self._count + count - len(again)
+        return np.concatenate([np.array(again, np.int64), np.arange(first, self._count)])
 
     def _grow(self, rows: int) -> None:
         # In place the system moves pages instead of bytes, so that a large map need not hold up
@@ -90,6 +103,14 @@ class Landmarks:
         self.observers[ids, self.sightings[ids] % _OBSERVERS] = keyframe_id
         self.sightings[ids] += 1
 
+    def cull(self, ids: IntArray) -> None:
+        """Let landmarks be none."""
+        self.is_alive[ids] = False
+
+    def give_up(self, ids: IntArray) -> None:
+        """Let rows of landmarks that are gone, and that nobody knows any more, become others."""
+        self._unused.extend(ids.tolist())
+
     def merge(self, gone: IntArray, kept: IntArray) -> None:
         """Let (N,) landmarks be others from now on, unless a keyframe tells the two apart."""
         seen_by_gone, seen_by_kept = self.observers[gone], self.observers[kept]
@@ -106,16 +127,38 @@ class Landmarks:
 
     def distinct(self, ids: IntArray | NDArray[np.int32]) -> IntArray:
         """Return the same, each once, in order, and without UNSEEN."""
-        resolved = self.resolve(ids)
-        known = resolved[resolved >= 0]
-        if not len(known):
-            return known
-        first, last = known.min(), known.max()
-        if last - first >= _FAR_APART * len(known):
-            return np.unique(known)
-        is_there = np.zeros(last - first + 1, np.bool_)
-        is_there[known - first] = True
-        return np.asarray(np.flatnonzero(is_there) + first)
+        return _distinct(_resolved(np.asarray(ids, np.int32), self._merged_into, self.is_alive))
+
+
+def is_among(ids: IntArray | NDArray[np.int32], others: IntArray) -> NDArray[np.bool_]:
+    """Return (N,) whether each of the ids is among others, which are in order."""
+    # What is of another kind, or laid out in another way, would be compiled for anew.
+    return _is_among(np.ascontiguousarray(ids, np.int64), np.ascontiguousarray(others, np.int64))
+
+
+@compiled
+def _is_among(ids: IntArray, others: IntArray) -> NDArray[np.bool_]:
+    is_there = np.zeros(len(ids), np.bool_)
+    places = np.searchsorted(others, ids)
+    for i in range(len(ids)):
+        is_there[i] = places[i] < len(others) and others[places[i]] == ids[i]
+    return is_there
+
+
+@compiled
+def _distinct(ids: IntArray) -> IntArray:
+    """Return those of (N,) ids that are not UNSEEN, each once, in order."""
+    known: IntArray = ids[ids != UNSEEN]
+    if not len(known):
+        return known
+    first, last = known.min(), known.max()
+    if last - first >= _FAR_APART * len(known):
+        return np.unique(known)
+    is_there = np.zeros(last - first + 1, np.bool_)
+    for each in known:
+        is_there[each - first] = True
+    distinct: IntArray = np.flatnonzero(is_there) + first
+    return distinct
 
 
 @compiled

@@ -61,7 +61,10 @@ class LocalMap:
         self._window = sorted([*neighbours, newest])
         table, ids = self.whole.landmarks, self.whole.seen_by(self._window)
         had_its_chance = table.first_keyframe[ids] + _TRIAL_KEYFRAMES <= newest
-        table.is_alive[ids[had_its_chance & (table.sightings[ids] < 2)]] = False
+        unconfirmed = ids[had_its_chance & (table.sightings[ids] < 2)]
+        table.cull(unconfirmed)
+        gone = np.concatenate([unconfirmed, made[~table.is_alive[made]]])
+        self.whole.forget_gone(np.unique(gone), self._window)
         if not neighbours:
             self._origins.add(newest)
         covisible = self.whole.covisible_keyframes(self.whole.seen_by(self._window))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slam.geometry.reprojection import Observations
 from slam.mapping.bundle_adjustment import Bundle, Motions, adjust, agreeing
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.landmarks import UNSEEN
+from slam.mapping.landmarks import UNSEEN, is_among
 from slam.types import Camera, FloatArray, IntArray, Link
 
 _MIN_OBSERVERS = 2  # a point that one camera alone sees says nothing of where it is
@@ -49,12 +49,12 @@ def extract_problem(
     camera_of = np.repeat(np.arange(len(keyframes)), [len(each) for each in features])
     feature_of = np.concatenate(features)
     landmark_of = np.concatenate([each[i] for each, i in zip(seen, features, strict=True)])
-    of_free = np.isin(landmark_of, the_map.seen_by(free))
+    of_free = is_among(landmark_of, the_map.seen_by(free))
     _, inverse, observers = np.unique(landmark_of, return_inverse=True, return_counts=True)
     chosen = np.flatnonzero(of_free & (observers[inverse] >= _MIN_OBSERVERS))
     chosen = chosen[np.lexsort((camera_of[chosen], landmark_of[chosen]))]
     landmark_ids, point_of = np.unique(landmark_of[chosen], return_inverse=True)
-    starts = np.cumsum([0, *(len(each.features.pixels) for each in keyframes)])
+    starts = np.cumsum([0, *(len(each.landmark_of) for each in keyframes)])
     measured = Observations.joined([the_map.measured(k) for k in keyframe_ids])
     bundle = Bundle(
         T_world_cam=np.array([each.T_map_cam for each in keyframes]),

@@ -13,15 +13,14 @@ from placerec.files import write_atomically
 from slam.config import MapConfig
 from slam.geometry import se3
 from slam.geometry.features import back_project, undistort
+from slam.geometry.voxels import add_to_voxels, hash_table, voxel_numbers
 from slam.result import SlamResult
 from slam.types import PREVIEW_SCALE, FloatArray
 
 _STRIDE = 2  # every other preview pixel is dense enough for the usual voxels
 # A room seen from 1.5 m away is merged by the centimetre, and nothing further than 4 m is in it.
 _VOXEL, _MAX_DEPTH = 1.0 / 150.0, 2.5  # of the median depth
-_FEW = 100_000  # numbers, which are not worth being sorted
-# What a step to the next voxel along each axis adds to a voxel's number, which wraps around.
-_ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+_ROOM = 20_000  # for voxels, to begin with
 
 
 @dataclass(frozen=True)
@@ -36,42 +35,42 @@ class PointCloud:
 
     def thinned(self, voxel_m: float) -> "PointCloud":
         """Return the means of the points and colours in each voxel."""
-        if len(self.points_m) == 0:
-            return self
-        numbers = _voxel_numbers(self.points_m, voxel_m)
-        means = _Means(np.unique(numbers))
-        means.add(numbers, self)
+        means = VoxelMeans(voxel_m)
+        means.add(self)
         return means.cloud()
 
 
-def _voxel_numbers(points_m: FloatArray, voxel_m: float) -> NDArray[np.uint64]:
-    """Return (N,) numbers that tell voxels apart, but for one in 10^8 of all maps."""
-    voxels = np.floor(points_m / voxel_m).astype(np.int64).view(np.uint64)
-    return np.asarray(voxels[:, 0] * _ODD[0] + voxels[:, 1] * _ODD[1] + voxels[:, 2] * _ODD[2])
+class VoxelMeans:
+    """The means of points and colours in voxels, which a hash table finds, however many come."""
 
+    def __init__(self, voxel_m: float) -> None:
+        self._voxel_m = voxel_m
+        self._count = 0
+        self._numbers = np.zeros(_ROOM, np.uint64)
+        self._sums = np.zeros((_ROOM, 7))  # of points, of colours, and how many
+        self._table = hash_table(self._numbers[:0], _ROOM)
 
-class _Means:
-    """The means of points and colours in the voxels with (N,) numbers, in increasing order."""
+    def add(self, cloud: PointCloud) -> None:
+        """Add a cloud's points."""
+        most = self._count + len(cloud.points_m)
+        if most > len(self._numbers):
+            self._make_room(most + most // 8)
+        numbers = voxel_numbers(np.ascontiguousarray(cloud.points_m), self._voxel_m)
+        each = np.column_stack([cloud.points_m, cloud.colours, np.ones(len(numbers))])
+        self._count = add_to_voxels(
+            numbers, each, self._table, self._numbers, self._sums, self._count
+        )
 
-    def __init__(self, numbers: NDArray[np.uint64]) -> None:
-        self._numbers = numbers
-        self._points_m = np.zeros((3, len(numbers)))
-        self._colours = np.zeros((3, len(numbers)), np.float32)
-        self._counts = np.zeros(len(numbers), np.float32)
-
-    def add(self, numbers: NDArray[np.uint64], cloud: PointCloud) -> None:
-        """Add a cloud's points, which are in the voxels with (M,) numbers."""
-        place = np.searchsorted(self._numbers, numbers)
-        np.add.at(self._counts, place, np.float32(1.0))
-        for i in range(3):
-            np.add.at(self._points_m[i], place, cloud.points_m[:, i])
-            np.add.at(self._colours[i], place, cloud.colours[:, i].astype(np.float32))
+    def _make_room(self, room: int) -> None:
+        self._numbers.resize(room)  # in place, where the system has room behind it
+        self._sums.resize((room, 7))
+        self._table = hash_table(self._numbers[: self._count], room)
 
     def cloud(self) -> PointCloud:
-        """Return the means; nothing can be added any more."""
-        self._points_m /= self._counts
-        self._colours /= self._counts
-        return PointCloud(self._points_m.T, self._colours.T)
+        """Return the means, in the order of the first points; nothing can be added any more."""
+        sums = self._sums[: self._count]
+        sums[:, :6] /= sums[:, 6:]
+        return PointCloud(sums[:, :3], sums[:, 3:6])
 
 
 def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
@@ -79,15 +78,9 @@ def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
     usual_m = _median_depth_m(result)
     voxel_m = _VOXEL * usual_m if config.voxel_m is None else config.voxel_m
     max_depth_m = _MAX_DEPTH * usual_m if config.max_depth_m is None else config.max_depth_m
-    # Twice through the keyframes, so that not much more than the map is ever in memory.
-    numbers, more = np.zeros(0, np.uint64), list[NDArray[np.uint64]]()
+    means = VoxelMeans(voxel_m)
     for cloud in _clouds(result, voxel_m, max_depth_m):
-        more.append(_voxel_numbers(cloud.points_m, voxel_m))
-        if sum(map(len, more)) > max(len(numbers) // 2, _FEW):
-            numbers, more = np.unique(np.concatenate([numbers, *more])), []
-    means = _Means(np.unique(np.concatenate([numbers, *more])))
-    for cloud in _clouds(result, voxel_m, max_depth_m):
-        means.add(_voxel_numbers(cloud.points_m, voxel_m), cloud)
+        means.add(cloud)
     return means.cloud()
 
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from slam.config import Config
 from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor, straightened
+from slam.geometry.features import FeatureExtractor, grey_of, straightened
 from slam.geometry.keyframe_memory import KeyframeMemory
 from slam.geometry.smear import SmearFinder
 from slam.mapping.keyframe_links import covisible_links
 from slam.mapping.landmark_map import LandmarkMap, empty_pairs
+from slam.mapping.landmarks import is_among
 from slam.mapping.local_map import LocalMap
 from slam.tracking.frame_pose import (
     FramePose,
@@ -99,7 +100,8 @@ class RgbdOdometry:
         Raises:
             RecognizerError: whoever was asked to recognize the frame failed.
         """
-        seen = self._extractor.extract(frame)
+        grey = grey_of(frame.rgb)
+        seen = self._extractor.extract(grey, frame.depth_m)
         self._move(self._local_map.next_frame())
         if not self._trails:
             return self._start(View(frame, seen, self._camera), T_given_cam)
@@ -107,7 +109,7 @@ class RgbdOdometry:
             frame.timestamp_s, shortest_s=self._camera.readout_s
         )
         view = View(frame, straightened(seen, self._camera, velocity), self._camera)
-        if rejection := self._smears.find(frame.rgb):
+        if rejection := self._smears.find(grey):
             self._trails.miss()
             return rejection
         frame_pose: FramePose | Rejection | None = None
@@ -252,7 +254,7 @@ class RgbdOdometry:
     def _needs_keyframe(self, frame_pose: FramePose, T_ref_cam: FloatArray) -> bool:
         model = self._trails.followed
         seen_by_reference = self.map.seen_by([model.recent[-1].id])
-        shared = int(np.count_nonzero(np.isin(frame_pose.pairs[:, 0], seen_by_reference)))
+        shared = int(np.count_nonzero(is_among(frame_pose.pairs[:, 0], seen_by_reference)))
         model.most_shared = max(model.most_shared, shared)
         depth_m = self.map.median_depth_m(frame_pose.T_map_cam, frame_pose.pairs[:, 0])
         return bool(

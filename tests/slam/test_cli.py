@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+import numba
 import numpy as np
 import pytest
 from tqdm import tqdm
@@ -145,6 +146,18 @@ def test_what_is_read_is_told_on_stderr(good, recording):
     assert "reading" not in good.out
 
 
+def test_the_wait_for_the_compiler_is_told_once(monkeypatch, capsys):
+    def run(_):
+        numba.njit(lambda number: number)(1)
+        numba.njit(lambda number: number)(1.0)
+
+    monkeypatch.setattr("slam.__main__._run", run)
+    assert main(["anything"]) == 0
+    assert capsys.readouterr().err.startswith("compiling the inner loops")
+    assert main(["anything", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_the_time_to_read_is_a_stage_too(good):
     summary = json.loads((good.folder / "summary.json").read_text())
     stages = ["read", "track", "describe", "close loops", "correct", "graph", "adjust"]
@@ -177,11 +190,11 @@ def test_the_demo_is_rendered_once_into_the_run(monkeypatch, short_recording, ru
         shutil.copytree(rendered, path)
         progress(6, 6)
 
-    monkeypatch.setattr("slam.demo.recording.render_sequence", render)
+    monkeypatch.setattr("slam.demo.separate_process.render_apart", render)
     first = run_slam("demo", *QUICK)
     assert first.code == 0 and "6 of 6 tracked" in first.out
     assert (first.folder / "sequence" / "rgb.txt").is_file()
-    monkeypatch.setattr("slam.demo.recording.render_sequence", None)
+    monkeypatch.setattr("slam.demo.separate_process.render_apart", None)
     assert run_slam("demo", *QUICK).code == 0
 
 

@@ -10,7 +10,7 @@ from slam.datasets import open_sequence
 from slam.demo import recording
 from slam.demo.recording import FRAMES_PER_S, LAP_S, drive, render_sequence
 from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor
+from slam.geometry.features import FeatureExtractor, grey_of
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.types import Camera, RelativePose, SlamError
 
@@ -103,7 +103,7 @@ def test_geometry_finds_the_true_motion(tmp_path):
     render_sequence(tmp_path / "sequence", seconds=0.27, camera=camera)
     sequence = open_sequence(tmp_path / "sequence", InputConfig())
     extractor = FeatureExtractor(camera, FeaturesConfig())
-    features = [extractor.extract(frame) for frame in sequence]
+    features = [extractor.extract(grey_of(frame.rgb), frame.depth_m) for frame in sequence]
     truth = sequence.ground_truth.T_world_cam
     for i in range(1, len(features)):
         outcome = estimate_relative_pose(

@@ -140,6 +140,12 @@ def test_a_path_that_is_too_long_or_too_short_says_how_much(factor):
     assert not found.unjudged
 
 
+def test_how_far_away_a_body_is_is_told_in_the_truths_metres_not_the_images():
+    of_a_body = Trajectory(TRUTH.timestamps_s, TRUTH.T_world_cam @ ARM)
+    found = camera_truth(estimate().enlarged(1.2), of_a_body, TOLERANCE_S)
+    assert_is_the_cameras(found, 0.02, 0.01)
+
+
 def test_of_few_frames_the_unit_is_told_by_the_way_alone():
     seen = estimate()
     few = Trajectory(seen.timestamps_s[:8], seen.T_world_cam[:8])

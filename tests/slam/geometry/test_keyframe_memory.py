@@ -4,6 +4,7 @@ import errno
 import gc
 import os
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,7 @@ def assert_same(kept, frame):
 
 
 def open_files():
+    gc.collect()
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
@@ -95,7 +97,6 @@ def test_the_file_has_no_name_and_is_gone_with_the_last_frame(shown, tmp_path):
     gc.collect()
     assert_same(kept[-1], shown[-1])
     del kept
-    gc.collect()
     assert open_files() == before
 
 
@@ -163,6 +164,67 @@ def test_features_are_the_same_in_memory_and_in_a_file(features, tmp_path, most_
             again = getattr(each, name)
             np.testing.assert_array_equal(again, values)
             assert again.dtype == values.dtype and again.flags.writeable
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Return a list that grows with every read of a file."""
+    made, pread = [], os.pread
+    monkeypatch.setattr(os, "pread", lambda *asked: made.append(asked) or pread(*asked))
+    return made
+
+
+def test_what_two_keyframes_show_is_read_once_while_they_are_compared(features, tmp_path, reads):
+    memory = KeyframeMemory(0, UNITS, tmp_path)
+    one, other, third = (memory.keep_features(features) for _ in range(3))
+    for name in vars(features):
+        assert getattr(one, name) is getattr(one, name)
+        getattr(other, name)
+    assert len(reads) == 2
+    assert third.pixels is not one.pixels and len(reads) == 4  # for only two stay
+
+
+def test_the_file_is_gone_with_the_last_features_too(features, tmp_path):
+    before = open_files()
+    kept = KeyframeMemory(0, UNITS, tmp_path).keep_features(features)
+    assert kept.pixels.any() and open_files() == before + 1
+    del kept
+    assert open_files() == before
+
+
+def test_kept_features_can_be_replaced_in_part(features, tmp_path):
+    kept = KeyframeMemory(0, UNITS, tmp_path).keep_features(features)
+    other = replace(kept, points_m=2.0 * kept.points_m)
+    np.testing.assert_array_equal(other.points_m, 2.0 * features.points_m)
+    np.testing.assert_array_equal(other.descriptors, features.descriptors)
+    with pytest.raises(AttributeError, match="keypoints"):
+        _ = other.keypoints
+
+
+def test_a_view_without_features_is_kept_too(features, tmp_path):
+    nothing = replace(features, **{name: values[:0] for name, values in vars(features).items()})
+    kept = KeyframeMemory(0, UNITS, tmp_path).keep_features(nothing)
+    assert kept.descriptors.shape == (0, 32) and kept.points_m.shape == (0, 3)
+
+
+def test_any_thread_may_read_while_one_keeps(features, tmp_path):
+    memory, kept = KeyframeMemory(0, UNITS, tmp_path), []
+
+    def read(seed):
+        rng = np.random.default_rng(seed)
+        while len(kept) < 200:
+            number = int(rng.integers(max(1, len(kept))))
+            if number < len(kept):
+                assert (kept[number].depth_m == number).all()
+                assert (kept[number].descriptors == features.descriptors).all()
+
+    with ThreadPoolExecutor(3) as pool:
+        reading = [pool.submit(read, seed) for seed in range(3)]
+        for number in range(200):
+            depth_m = np.full_like(features.depth_m, number)
+            kept.append(memory.keep_features(replace(features, depth_m=depth_m)))
+        for each in reading:
+            each.result()
 
 
 def test_once_something_went_to_the_file_all_that_comes_later_does(features, shown, tmp_path):

@@ -12,7 +12,7 @@ from slam.geometry.normal_equations import (
     empty_equations,
     stepped,
 )
-from slam.geometry.reprojection import Observations, intrinsics, robust_costs
+from slam.geometry.reprojection import CAUCHY, HUBER, Observations, intrinsics
 
 FAR = np.array([0.02, -0.01, 0.03, 0.05, -0.02, 0.04])
 
@@ -45,15 +45,22 @@ def as_reference(views, T):
     return equations
 
 
+def robust_cost(residuals):
+    lengths = np.linalg.norm(residuals[:, :2], axis=1)
+    of_pixels = np.where(lengths < HUBER, 0.5 * lengths**2, HUBER * (lengths - 0.5 * HUBER))
+    of_depths = 0.5 * CAUCHY**2 * np.log1p((residuals[:, 2] / CAUCHY) ** 2)
+    return (of_pixels + of_depths).sum()
+
+
 def cost_as_query(views, T):
     points_m = se3.transform(se3.inverse(T), views.reference.points_m.astype(np.float64))
-    return robust_costs(measured(views.query, views.camera).residuals(points_m, views.camera)[0])
+    return robust_cost(measured(views.query, views.camera).residuals(points_m, views.camera)[0])
 
 
 def cost_as_reference(views, T):
     points_m = se3.transform(T, views.query.points_m.astype(np.float64))
     seen = measured(views.reference, views.camera)
-    return robust_costs(seen.residuals(points_m, views.camera)[0])
+    return robust_cost(seen.residuals(points_m, views.camera)[0])
 
 
 @pytest.mark.parametrize(
@@ -64,7 +71,7 @@ def test_the_gradient_is_how_the_robust_cost_grows(views, equations, cost):
     hessian, gradient = equations(views, T)
     for axis, found in enumerate(gradient):
         nudge = 1e-6 * np.eye(6)[axis]
-        change = cost(views, T @ se3.exp(nudge)).sum() - cost(views, T @ se3.exp(-nudge)).sum()
+        change = cost(views, T @ se3.exp(nudge)) - cost(views, T @ se3.exp(-nudge))
         assert found == pytest.approx(change / 2e-6, rel=1e-4, abs=1e-2)
     np.testing.assert_allclose(hessian, hessian.T)
     assert np.linalg.eigvalsh(hessian)[0] > 0.0

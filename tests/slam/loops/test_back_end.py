@@ -11,7 +11,7 @@ from slam.config import Config, LoopConfig
 from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor
+from slam.geometry.features import FeatureExtractor, grey_of
 from slam.loops.back_end import BackEnd
 from slam.pose_graph import solve_beside
 from slam.stage_clock import StageClock
@@ -48,10 +48,15 @@ def back_end(recognizer, **loop):
     return BackEnd(CAMERA, recognizer, Config(loop=LoopConfig(**loop)), StageClock())
 
 
+def features_of(frame):
+    extractor = FeatureExtractor(CAMERA, Config().features)
+    return extractor.extract(grey_of(frame.rgb), frame.depth_m)
+
+
 @pytest.fixture(scope="module")
 def keyframes(frames):
     """Return keyframes 3 s apart that all show the first frame's place, and their images."""
-    features = FeatureExtractor(CAMERA, Config().features).extract(frames[0])
+    features = features_of(frames[0])
     return [
         (Keyframe(k, 3.0 * k, np.eye(4), features, preview(frames[0])), frames[0].rgb)
         for k in range(4)
@@ -125,7 +130,7 @@ def test_a_segment_that_loops_at_one_place_tie_is_of_no_use_and_a_second_makes_i
 ):
     behind = back_end(Gate(), min_gap=2)
     (here, rgb), other_rgb = keyframes[0], frames[24].rgb
-    features = FeatureExtractor(CAMERA, Config().features).extract(frames[24])
+    features = features_of(frames[24])
     elsewhere = replace(here, features=features, T_odom_cam=T_first_cam[24])
     motion = RelativePose(T_first_cam[24], INFORMATION)
     behind.insert(here, (), {}, rgb)
@@ -197,8 +202,8 @@ def test_a_large_map_is_corrected_and_solved_from_its_last_correction(keyframes,
 
 
 def test_a_large_map_forgets_what_older_candidates_show(keyframes, monkeypatch):
-    monkeypatch.setattr("slam.loops.back_end._SHOWN_WITH_EVIDENCE", 2)
-    monkeypatch.setattr("slam.loops.back_end._RECENT", 1)
+    monkeypatch.setattr("slam.loops.evidence._SHOWN_WITH_EVIDENCE", 3)
+    monkeypatch.setattr("slam.loops.evidence._RECENT", 1)
     behind = back_end(Gate(), min_gap=1)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)
@@ -232,7 +237,7 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
 def test_the_first_loops_of_another_segment_do_not_wait_for_as_many_as_there_are(
     keyframes, monkeypatch
 ):
-    monkeypatch.setattr("slam.loops.back_end._LOOP_GROWTH", 10.0)
+    monkeypatch.setattr("slam.loops.correction_schedule._LOOP_GROWTH", 10.0)
     behind = back_end(Gate(), min_gap=2)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)

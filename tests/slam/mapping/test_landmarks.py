@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from slam.mapping.landmarks import UNSEEN, Landmarks
+from slam.mapping import landmarks
+from slam.mapping.landmarks import UNSEEN, Landmarks, is_among
 
 
 def table_of(count, keyframe_id=0):
@@ -33,9 +34,8 @@ def test_who_looks_at_a_column_while_the_table_grows_keeps_what_he_sees():
         table.add(np.zeros((20_000, 3)), 1)
     np.testing.assert_array_equal(looked_at, before)
     np.testing.assert_array_equal(table.positions_m[first], before)
-    assert {len(column) for column in vars(table).values() if np.ndim(column)} == {
-        len(table.is_alive)
-    }
+    columns = [each for each in vars(table).values() if isinstance(each, np.ndarray)]
+    assert {len(column) for column in columns} == {len(table.is_alive)}
 
 
 def test_a_landmark_looks_as_the_latest_keyframe_saw_it():
@@ -78,3 +78,26 @@ def test_what_one_keyframe_tells_apart_is_not_merged():
     assert table.resolve(ids).tolist() == [0, 1, 2] and table.sightings[ids].tolist() == [1, 1, 1]
     table.merge(ids[[0]], ids[[2]])
     assert table.resolve(ids).tolist() == [2, 1, 2] and table.sightings[ids].tolist() == [1, 1, 2]
+
+
+def test_which_ids_are_among_others_is_what_numpy_finds():
+    rng = np.random.default_rng(0)
+    for others in (np.unique(rng.integers(0, 90, 40)), np.zeros(0, np.int64)):
+        ids = np.column_stack([rng.integers(-1, 100, 60)] * 2)[:, 0]
+        np.testing.assert_array_equal(is_among(ids, others), np.isin(ids, others))
+
+
+def test_rows_that_nobody_knows_any_more_are_used_before_the_table_grows(monkeypatch):
+    monkeypatch.setattr(landmarks, "_SPARE_ROWS", 4)
+    table, ids = table_of(6)  # and room for four more
+    see(table, ids, 0)
+    table.cull(ids[1:4])
+    table.give_up(ids[1:4])
+    assert table.add(np.zeros((4, 3)), 1).tolist() == [6, 7, 8, 9]
+    again = table.add(np.full((2, 3), 7.0), 2)
+    assert again.tolist() == [1, 2] and len(table) == len(table.is_alive) == 10
+    assert table.is_alive[again].all() and not table.sightings[again].any()
+    assert (table.observers[again] == UNSEEN).all() and (table.first_keyframe[again] == 2).all()
+    np.testing.assert_array_equal(table.resolve(again), again)
+    assert table.add(np.zeros((2, 3)), 3).tolist() == [10, 11]  # one row would not be enough
+    assert table.resolve(ids).tolist() == [0, 1, 2, UNSEEN, 4, 5]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from slam.config import Config
 from slam.geometry import se3
 from slam.geometry.feature_grid import FeatureGrid
+from slam.mapping import landmarks
 from slam.mapping import local_map as module
 from slam.mapping.landmark_map import empty_pairs
 from slam.mapping.local_map import LocalMap
@@ -144,3 +146,25 @@ def test_the_first_keyframe_of_every_segment_stays_where_it_is(scene):
         placed = local_map.whole.keyframes[k].T_map_cam
         np.testing.assert_array_equal(placed, scene.T_world_cam[k])
     assert not np.array_equal(local_map.whole.keyframes[5].T_map_cam, scene.T_world_cam[5] @ off)
+
+
+def test_nobody_knows_a_landmark_whose_row_becomes_another(make_scene, monkeypatch):
+    scene, rng = make_scene(cameras=12, noise=0.2), np.random.default_rng(0)
+    for k, features in enumerate(scene.features):  # every third one is like no other
+        descriptors = features.descriptors.copy()
+        descriptors[::3] = rng.integers(0, 256, descriptors[::3].shape)
+        scene.features[k] = replace(features, descriptors=descriptors)
+    monkeypatch.setattr(landmarks, "_SPARE_ROWS", 0)
+    local_map, given_up = LocalMap(scene.camera, Config()), 0
+    table = local_map.whole.landmarks
+    for k in range(12):
+        insert(local_map, scene, k)
+        unused = table._unused
+        given_up += len(unused)
+        for keyframe in local_map.whole.keyframes:
+            assert not np.isin(keyframe.landmark_of, unused).any()
+            assert not np.isin(keyframe.created_ids, unused).any()
+        assert not table.is_alive[unused].any()
+    alive = np.count_nonzero(table.is_alive)
+    assert given_up > 200
+    assert len(table) < 1.5 * alive
