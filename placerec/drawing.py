@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one look of all figures; figures as files, and inside a page, whose colours they take."""
+"""The one look of all figures, and figures as files."""
 
 import io
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from html import escape
 from itertools import cycle, product
 from typing import Any, Literal
 
 import matplotlib as mpl
-from markupsafe import Markup
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 INK, SOFT, GRID = "#20242a", "#7a808a", "#d0d4da"
 RIGHT, WRONG = "#0a64b4", "#c01878"
-BEFORE, AFTER, TRUTH, LOST = "#c4600a", RIGHT, SOFT, "#8a6a40"
-WITHOUT = "#1a8a5a"  # what would be without loops
-COLOURS = (RIGHT, BEFORE, WITHOUT, WRONG, "#7a5fc0", LOST, "#2aa0b8", INK)
+BEFORE, AFTER, TRUTH = "#c4600a", RIGHT, SOFT
+COLOURS = (RIGHT, BEFORE, "#1a8a5a", WRONG, "#7a5fc0", "#8a6a40", "#2aa0b8", INK)
 _DASHES = ("-", "--", ":", "-.")
 WIDTH_IN = 5.0
 """Narrow, so that the writing stays legible where a page shrinks it to a phone's width."""
@@ -45,18 +40,6 @@ _STYLE = {
     "legend.handlelength": 1.6,
     "legend.columnspacing": 1.2,
     "path.simplify_threshold": 0.3,
-}
-
-# Inside a page these become its CSS variables, so that one drawing suits light and dark.
-_CSS = {
-    INK: "var(--ink)",
-    GRID: "var(--line)",
-    BEFORE: "var(--before)",
-    AFTER: "var(--after)",
-    TRUTH: "var(--truth)",
-    WRONG: "var(--wrong)",
-    WITHOUT: "var(--without)",
-    LOST: "var(--lost)",
 }
 
 
@@ -86,32 +69,8 @@ def png(figure: Figure) -> bytes:
     return _save(figure, "png", dpi=110, metadata={"Software": None})
 
 
-def draw(name: str, alt: str, paint: Callable[[Axes], None], height_in: float = 3.8) -> Markup:
-    """Return a drawing as an SVG element: `paint` fills the axes, labelled artists the legend.
-
-    `name` must be unique on the page: it keeps the drawings' inner references apart.
-    """
-    with canvas(height_in) as figure:
-        axes = figure.add_subplot()
-        paint(axes)
-        handles, labels = axes.get_legend_handles_labels()
-        if handles:
-            figure.legend(handles, labels, loc="outside upper left", ncols=3)
-    text = _save(figure, "svg", name, transparent=True, metadata={"Date": None}).decode()
-    # Strip the file to what belongs inside a page.
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r'<g id="[^"]*"', "<g", text)  # never referred to, and repeated in each drawing
-    text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
-    text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
-    for colour, variable in _CSS.items():
-        text = text.replace(colour, variable)
-    label = escape(alt, quote=True)
-    return Markup(text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))
-
-
-def _save(figure: Figure, kind: str, salt: str = "placerec", **options: Any) -> bytes:
+def _save(figure: Figure, kind: str, **options: Any) -> bytes:
     buffer = io.BytesIO()
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": salt}):
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": "placerec"}):
         figure.savefig(buffer, format=kind, **options)
     return buffer.getvalue()

@@ -30,6 +30,7 @@ from slam.types import Frame, SlamError
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
     from slam.datasets.pose_files import PoseFile
+    from slam.external_odometry.pose_feed import PoseFeed
     from slam.output.ending import Ended
     from slam.output.journal import JournalWriter
     from slam.system import Slam
@@ -155,6 +156,7 @@ def _work(typed: list[str]) -> int:
 
 def _run(arguments: Arguments) -> None:
     from slam.datasets import Sessions
+    from slam.external_odometry.pose_feed import PoseFeed
     from slam.geometry.features import search_images_on_one_thread
     from slam.geometry.freed_memory import share_between_threads
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
@@ -188,9 +190,10 @@ def _run(arguments: Arguments) -> None:
         if begin_outputs(claimed, settings, header.command, run.truth):
             _log.warning("an earlier run into this folder was killed, and this one replaces it")
         journal = JournalWriter(claimed.unfinished, header, slam)
+        feed = PoseFeed(slam, poses.trajectory if poses else None)
         with _kept(claimed.path), deferred_interrupts() as interrupted:
             with journal:
-                stopped = _process(slam, sessions, _Feed(slam, poses), journal, interrupted)
+                stopped = _process(slam, sessions, feed, journal, interrupted)
             if not slam.has_keyframes:
                 claimed.discard()
                 if stopped:
@@ -202,6 +205,7 @@ def _finish(arguments: Arguments) -> None:
     """Make the outputs of what a run that was killed had done."""
     from slam.datasets.pose_files import read_odometry
     from slam.evaluation.trajectory import read_tum
+    from slam.external_odometry.pose_feed import PoseFeed
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.ending import Run, conclude
     from slam.output.finishing import ReplayedSlam
@@ -222,7 +226,7 @@ def _finish(arguments: Arguments) -> None:
             poses = read_odometry(Path(header.odometry), stamps_s, settings.input)
         run = Run(claimed, header, settings, truth, poses, lambda: header.warnings)
         slam = ReplayedSlam(journal, settings)
-        feed = _Feed(slam, poses)
+        feed = PoseFeed(slam, poses.trajectory if poses else None)
         with _kept(claimed.path), deferred_interrupts():
             for timestamp_s, _ in journal.frames:
                 feed.until(timestamp_s)
@@ -297,7 +301,7 @@ def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFil
 def _process(
     slam: "Slam",
     sessions: "Sessions",
-    feed: "_Feed",
+    feed: "PoseFeed",
     journal: "JournalWriter",
     interrupted: Event,
 ) -> BaseException | None:
@@ -317,24 +321,6 @@ def _process(
         _log.debug("the run stopped early", exc_info=True)
         return stopped
     return None
-
-
-class _Feed:
-    """Hands over the poses of a file as they would come with the images."""
-
-    def __init__(self, slam: "Slam", poses: "PoseFile | None") -> None:
-        self._slam = slam
-        self._next, self._last_s = 0, -math.inf
-        self._T = poses.trajectory.T_world_cam if poses else ()
-        self._stamps_s = poses.trajectory.timestamps_s.tolist() if poses else []
-
-    def until(self, timestamp_s: float) -> None:
-        """Hand over all poses until a time of the images', and one more, to be between two."""
-        limit_s = timestamp_s + self._slam.time_offset_s
-        while self._next < len(self._stamps_s) and self._last_s <= limit_s:
-            self._last_s = self._stamps_s[self._next]
-            self._slam.add_pose(self._last_s, self._T[self._next])
-            self._next += 1
 
 
 def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:

@@ -39,7 +39,7 @@ def test_trained_weights_their_certificate_and_their_card_come_with_the_wheel(tm
 def test_what_is_installed_stays_small():
     parts = [path for name in ("slam", "placerec") for path in (ROOT / name).rglob("*.*")]
     sizes = [path.stat().st_size for path in parts if "__pycache__" not in path.parts]
-    assert sum(sizes) < 15e6  # of which 10.8 MB are the default network
+    assert sum(sizes) < 17e6  # 10.8 MB are the default network, 1.8 MB draw the report
 
 
 def test_built_in_recognizers_are_named_as_those_of_others_are():

@@ -2,7 +2,7 @@
 """Places, loops and the pose graph, one keyframe at a time, in a thread beside tracking."""
 
 import logging
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -18,7 +18,9 @@ from slam.geometry import se3
 from slam.geometry.freed_memory import give_back
 from slam.loops.atlas import Atlas, LargestSubmap
 from slam.loops.correction import Correction
+from slam.loops.correction_schedule import CorrectionSchedule
 from slam.loops.cost_of_odometry import borne_out
+from slam.loops.evidence import Evidence
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
 from slam.loops.stage_clock import StageClock
@@ -32,14 +34,6 @@ from slam.types import (
 )
 
 _MAX_QUEUED = 8  # keyframes: a camera that turns fast makes some in a row, and then fewer
-# On the way, loops of a segment wait until there are this share more of them than the last
-# correction knew: the cost per segment then grows with the logarithm of their number.
-_LOOP_GROWTH = 0.1
-# An odometry from elsewhere is judged without a new loop too: after so many keyframes, and as many
-# more as that share.
-_JUDGED_AFTER = 1
-# Of the candidates of so many keyframes it is kept which pixels matched, and of the last ones.
-_SHOWN_WITH_EVIDENCE, _RECENT = 500, 1000
 # What frames took between keyframes, which stay, lies in pieces that the system does not get back.
 _TIDIED_AFTER = 128
 _log = logging.getLogger(__name__)
@@ -93,15 +87,14 @@ class BackEnd:
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
         self._solver = ThreadPoolExecutor(1, thread_name_prefix="corrections")
-        self._solved_loops: Counter[int] = Counter()  # per segment of the later keyframe
-        self._judged_id = -1
+        self._schedule = CorrectionSchedule()
         self._solving: list[Future[None]] = []
         self._solved: Mapping[int, FloatArray] = {}  # what the last correction was made of
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: Exception | None = None  # nothing after it is taken in
         self.attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
-        self._evidence_from: int | None = None  # the first attempt that may have to lose it
+        self._evidence = Evidence()
         self.corrections = [Correction(0, -1, {}, {})]
 
     @property
@@ -285,35 +278,13 @@ class BackEnd:
         if len(self.keyframes) % _TIDIED_AFTER == 0:
             give_back()
         self.attempts.extend(attempts)
-        if len(self.keyframes) > _SHOWN_WITH_EVIDENCE:
-            self._forget_evidence()
+        self._evidence.tidy(self.attempts, len(self.keyframes))
         for attempt in attempts:
             if attempt.rejection is None:
                 _log.info("keyframe %d sees keyframe %d again", attempt.query_id, attempt.match_id)
-        loops, solved = self._atlas.loops, self._solved_loops[keyframe.segment]
-        if (
-            self._is_due(keyframe, given)
-            or loops[keyframe.segment] - solved > _LOOP_GROWTH * solved
-        ):
-            self._solved_loops, self._judged_id = loops.copy(), keyframe.id
+        if self._schedule.is_due(keyframe, self._atlas.loops, given is not None):
             self._solving.append(self._solver.submit(self._correct, keyframe.id, *self._largest()))
         return attempts
-
-    def _forget_evidence(self) -> None:
-        """Forget which pixels matched where a journal has it by now: of no more than can be shown.
-
-        A match takes 60 bytes, and what a keyframe's candidates show takes as much as the keyframe.
-        """
-        if self._evidence_from is None:
-            self._evidence_from = len(self.attempts)
-        for k in range(self._evidence_from, len(self.attempts) - _RECENT):
-            if seen := self.attempts[k].verification:
-                self.attempts[k] = replace(self.attempts[k], verification=seen.without_evidence)
-            self._evidence_from = k + 1
-
-    def _is_due(self, keyframe: Keyframe, given: GivenKeyframe | None) -> bool:
-        new = keyframe.id - self._judged_id
-        return given is not None and new > _JUDGED_AFTER + _LOOP_GROWTH * keyframe.id
 
     def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):

@@ -83,9 +83,9 @@ def write_outputs(
         "settings.toml": lambda path: write_atomically(path, settings),
         "summary.json": lambda path: _write_summary(path, result, drift, command, list(writers)),
     }
-    if config.map.write and result.has_images:  # before the memory that drawing takes is taken
+    if config.map.write and result.has_images:  # before the memory that the report takes is taken
         writers["map.ply"] = lambda path: _write_map(path, result, config.map)
-    writers["report.html"] = lambda path: _write_report(path, result, drift, settings, title, truth)
+    writers["report.html"] = lambda path: _write_report(path, result, drift, settings, title)
     salvage = Salvage()
     claimed.unfinished.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
     for name, write in writers.items():  # what cannot be computed again comes first
@@ -157,12 +157,11 @@ def _write_report(
     drift: DriftReport | None,
     settings: str,
     title: str,
-    truth: Trajectory | None,
 ) -> None:
-    # Loaded here, because matplotlib takes time and memory that tracking does without.
+    # Loaded here, because it takes time and memory that tracking does without.
     from slam.output.report.page import write_report
 
-    write_report(path, result, drift, settings, title, truth)
+    write_report(path, result, drift, settings, title)
     give_back()
 
 

@@ -14,6 +14,7 @@ from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.result import SlamResult
 from slam.types import RejectionReason
 
+_NO_TRUTH = (("error", "not known: no ground truth to compare with"),)
 _TRAJECTORIES = ("odometry", "live", "without_loops", "corrected", "smoothed")
 
 
@@ -157,7 +158,7 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         ("recognizer", f"verifies from similarity {result.min_similarity:.3f}, {_origin(result)}"),
         *([("", result.threshold.explanation)] if result.threshold else []),
         ("loops", loops),
-        *(_drift_rows(drift) if drift else ()),
+        *(_drift_rows(drift) if drift else _NO_TRUTH),
     ]
     if summary["frames_per_second"] is not None:
         rows.append(("pipeline", f"{summary['frames_per_second']:.1f} frames/s"))

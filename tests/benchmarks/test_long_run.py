@@ -75,7 +75,7 @@ def test_the_table_has_a_column_per_run(benchmark, run):
     assert found["ms per frame around frame 1,000"] == ["10.00", "10.00"]
     assert found["their ratio"] == ["1.00", "2.00"]
     assert found["longest frame, ms"] == ["250", "250"]
-    assert found["MB per keyframe"] == ["1.00", "1.00"]
+    assert found["kB per keyframe, second half"] == ["1024", "1024"]
     assert found["ms per loop query at the end"] == ["0.50", "0.50"]
     assert found["loops kept"] == ["40, 1 of them false"] * 2
     assert found["ATE, m: odometry → corrected"] == ["0.1000 → 0.0100"] * 2

@@ -10,8 +10,9 @@ from placerec.drawing import INK, TRUTH, WIDTH_IN, canvas, line_styles, png, svg
 from slam.evaluation.comparison import Comparison
 from slam.evaluation.pose_errors import root_mean_square
 from slam.output.comparison.figures import in_brief
-from slam.output.report.paths import broken
+from slam.types import FloatArray
 
+_GAP_FACTOR = 5.0  # poses further apart than so many median steps are not joined by a line
 _LEAST_IN, _MOST_IN, _LEGEND_LINE_IN = 2.2, 6.0, 0.22
 
 
@@ -24,10 +25,10 @@ def plots(compared: Mapping[str, Comparison], *, has_times: bool) -> dict[str, b
 
     def paths(axes: Axes) -> None:
         axes.set_aspect("equal", adjustable="datalim")
-        truth = broken(longest.times_s, longest.truth_m)[1]
+        truth = _broken(longest.times_s, longest.truth_m)[1]
         axes.plot(truth[:, across], truth[:, up], color=TRUTH, lw=3.0, alpha=0.55, label="truth")
         for (name, each), (colour, dashes) in zip(compared.items(), line_styles(), strict=False):
-            path = broken(each.times_s, each.aligned_m)[1]
+            path = _broken(each.times_s, each.aligned_m)[1]
             label = f"{name}: {in_brief(each)}"
             axes.plot(path[:, across], path[:, up], color=colour, ls=dashes, lw=1.3, label=label)
         axes.plot(*longest.truth_m[0, [across, up]], "o", color=INK, ms=5, label="start")
@@ -37,7 +38,7 @@ def plots(compared: Mapping[str, Comparison], *, has_times: bool) -> dict[str, b
     def errors(axes: Axes) -> None:
         start = min(each.times_s[0] for each in compared.values())
         for (name, each), (colour, dashes) in zip(compared.items(), line_styles(), strict=False):
-            times, lengths = broken(each.times_s - start, each.ape_m)
+            times, lengths = _broken(each.times_s - start, each.ape_m)
             label = f"{name}: {in_brief(each)}"
             axes.plot(times, lengths, color=colour, ls=dashes, lw=1.2, label=label)
         axes.set_xlabel("time (s)" if has_times else "row")
@@ -77,3 +78,12 @@ def _drawn(
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", fontsize=8.5)
         return {f"{name}.svg": svg(figure), f"{name}.png": png(figure)}
+
+
+def _broken(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return times and values with NaN between poses that are far apart, to break the line."""
+    steps_s = np.diff(times_s)
+    if len(steps_s) == 0:
+        return times_s, values
+    cuts = np.flatnonzero(steps_s > _GAP_FACTOR * np.median(steps_s)) + 1
+    return np.insert(times_s, cuts, np.nan), np.insert(values, cuts, np.nan, axis=0)

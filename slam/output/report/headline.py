@@ -2,6 +2,7 @@
 """The result of a run in a few plain sentences."""
 
 from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +12,46 @@ from slam.result import GivenOdometry, SlamResult
 
 _NO_CHANGE = 0.02
 """Drift that changes by less than this share is called unchanged."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One of the numbers that answer first: what it is of, itself, and what stands behind it."""
+
+    name: str
+    value: str
+    note: str
+
+
+def figures(
+    result: SlamResult, drift: DriftReport | None, loops: list[Decision]
+) -> tuple[Figure, Figure, Figure]:
+    """Return the error, the loops and the frames."""
+    kinds = Counter(loop.kind for loop in loops)
+    kept = kinds[ACCEPTED] + kinds[FALSE]
+    notes = []
+    if drift is not None and not drift.unjudged and kept:
+        notes.append(f"{kinds[FALSE] or 'none'} false by ground truth")
+    if kinds[OUTVOTED]:
+        notes.append(f"{kinds[OUTVOTED]} more outvoted by the rest")
+    tracked, frames = len(result.trajectory), len(result.trajectory) + len(result.untracked_s)
+    count = len(result.keyframes)
+    keyframes = f"{count} keyframe" + ("" if count == 1 else "s")
+    if result.elapsed_s > 0.0:
+        keyframes += f", {1000.0 * result.elapsed_s / max(frames, 1):.1f} ms per frame"
+    return (
+        _error(result, drift),
+        Figure("Loops accepted", f"{kept} of {len(loops)}", "; ".join(notes) or "candidates"),
+        Figure("Frames tracked", f"{tracked} of {frames}", keyframes),
+    )
+
+
+def _error(result: SlamResult, drift: DriftReport | None) -> Figure:
+    if drift is None:
+        return Figure("Error (ATE RMSE)", "not known", "no ground truth to compare with")
+    without, tracked = drift.without_loops.ate_rmse_m, drift.odometry.ate_rmse_m
+    note = f"without loops {length(without)}, odometry {length(tracked)}"
+    return Figure("Error (ATE RMSE)", length(drift.corrected.ate_rmse_m), note)
 
 
 def length(metres: float) -> str:
@@ -83,13 +124,12 @@ def _is_same(before: float, after: float) -> bool:
 
 
 def _correction(result: SlamResult, is_closed: bool) -> str:
-    unknown = "No ATE can be given: there is no ground truth to compare this run with."
     if not is_closed:
-        return f"No loop was closed, so none moved the camera path. {unknown}"
+        return "No loop was closed, so none moved the camera path."
     moved_m = result.moved_by_loops_m
     return (
         f"Loop closure moved the camera path by up to {length(moved_m.max())}"
-        f" ({length(moved_m.mean())} on average). {unknown}"
+        f" ({length(moved_m.mean())} on average)."
     )
 
 

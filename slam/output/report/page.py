@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report page: drawings, pictures, tables and words put into the template."""
+"""The report page: numbers, pictures and words put into the template."""
 
 import platform
 from collections import Counter
-from importlib import metadata
+from importlib import metadata, resources
 from pathlib import Path
 
 import jinja2
@@ -14,24 +14,22 @@ from placerec.files import write_atomically
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.output.decision import ACCEPTED, FALSE, Decision, decisions
-from slam.output.report.gallery import choose, picture
-from slam.output.report.headline import headline, length
-from slam.output.report.path_figures import error_over_time, path_view
-from slam.output.report.paths import Paths, gather
-from slam.output.report.place_figures import (
-    calibrated_range,
-    distance_matrix,
-    similarity_histogram,
-    similarity_matrix,
-)
+from slam.output.report.doubt import by_doubt, is_doubtful
+from slam.output.report.flat_drawings import drift_along_time, path_from_above
+from slam.output.report.headline import figures, headline, length
+from slam.output.report.losses import losses
+from slam.output.report.page_data import curves, page_data
+from slam.output.report.paths import gather
 from slam.result import SlamResult
-from slam.types import RejectionReason, Trajectory
+from slam.types import RejectionReason
 
-_MAX_ROWS = 1000
-"""Decisions listed on the page; all of them are in the ledger."""
+_MOST_ROWS = 2000
+"""Decisions on the page; all of them are in the ledger."""
 
-_KINDS = (ACCEPTED, FALSE, *(reason.name.lower() for reason in RejectionReason))
-_PACKAGES = ("loopclose", "gtsam", "numpy", "opencv-python-headless", "matplotlib")
+_KINDS = (FALSE, ACCEPTED, *(reason.name.lower() for reason in RejectionReason))
+_PACKAGES = ("loopclose", "gtsam", "numpy", "opencv-python-headless")
+_LIBRARY = "vendored/plotly-gl3d.min.js"
+_SCRIPTS = ("unpacking.js", "picking.js", "map.js", "scene.js", "charts.js", "loops.js", "page.js")
 
 
 def write_report(
@@ -40,59 +38,77 @@ def write_report(
     drift: DriftReport | None,
     settings_toml: str,
     title: str,
-    truth: Trajectory | None = None,
 ) -> None:
     """Write the page that explains a run, HTML that needs no other file.
-
-    `truth` adds the true path to the drawings.
 
     Raises:
         LoopcloseError: the file cannot be written.
     """
     loops = decisions(result, drift)
-    chosen = choose(loops) if result.has_images else []
-    paths = gather(result, drift, truth)
+    listed = by_doubt(loops)[:_MOST_ROWS]
+    paths = gather(result, drift)
+    data = page_data(result, drift, paths, listed)
     frames = len(result.trajectory) + len(result.untracked_s)
+    page = (
+        _environment(frames)
+        .get_template("page.html")
+        .render(
+            title=title,
+            result=result,
+            drift=drift,
+            headline=headline(result, drift, loops),
+            figures=figures(result, drift, loops),
+            errors=_errors(drift) if drift else [],
+            right_nees=RIGHT_MEDIAN_NEES,
+            frames=frames,
+            counts=_count(loops),
+            path_drawing=path_from_above(paths, loops),
+            drift_drawing=drift_along_time(paths, curves(result, drift)),
+            loops=[(loop, is_doubtful(loop)) for loop in listed],
+            listed_s={
+                each.id: paths.elapsed_s(np.array(each.timestamp_s)) for each in result.keyframes
+            },
+            pictured=len(data["pictures"]),
+            attempted=len(loops),
+            used_otherwise=result.calibration is not None
+            and not np.isclose(
+                result.min_similarity, result.calibration.certificate.min_similarity, atol=1e-6
+            ),
+            moved=len({each.min_similarity for each in result.attempts}) > 1,
+            paths=paths,
+            losses=losses(result, paths),
+            settings=settings_toml,
+            versions=_versions(),
+            data=data,
+            style=_part("page.css"),
+            library=_part(_LIBRARY),
+            script=Markup("\n").join(_part(name) for name in _SCRIPTS),
+        )
+    )
+    write_atomically(path, page)
+
+
+def _environment(frames: int) -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slam.output.report", "."),
+        loader=jinja2.PackageLoader("slam.output.report", "page"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     environment.filters.update(
         length=length,
         number=_number,
         percent=lambda share: f"{_number(100.0 * share, 1)} %",
-        elapsed=lambda timestamp_s: float(paths.elapsed_s(np.array(timestamp_s))),
         ms_per_frame=lambda seconds: 1000 * seconds / max(frames, 1),
     )
-    page = environment.get_template("page.html").render(
-        title=title,
-        result=result,
-        drift=drift,
-        headline=headline(result, drift, loops),
-        errors=_errors(drift) if drift else [],
-        right_nees=RIGHT_MEDIAN_NEES,
-        frames=frames,
-        counts=_count(loops),
-        drawings=_drawings(result, drift, paths, loops),
-        cards=[(loop, picture(loop, result.camera)) for loop in chosen],
-        card_counts=_count(chosen),
-        loops=loops[:_MAX_ROWS],
-        attempted=len(loops),
-        accepted=sum(loop.attempt.rejection is None for loop in loops),
-        false=sum(loop.kind == FALSE for loop in loops),
-        used_otherwise=result.calibration is not None
-        and not np.isclose(
-            result.min_similarity, result.calibration.certificate.min_similarity, atol=1e-6
-        ),
-        moved=len({each.min_similarity for each in result.attempts}) > 1,
-        paths=paths,
-        settings=settings_toml,
-        versions=_versions(),
-    )
-    write_atomically(path, page)
+    return environment
+
+
+def _part(name: str) -> Markup:
+    """Return a file of the page as it is: style or script, ours and not to be escaped."""
+    return Markup(resources.files("slam.output.report").joinpath("page", name).read_text("utf-8"))
 
 
 def _errors(drift: DriftReport) -> list[tuple[str, TrajectoryError | None, str]]:
@@ -104,24 +120,6 @@ def _errors(drift: DriftReport) -> list[tuple[str, TrajectoryError | None, str]]
         ("In the end, with loops", drift.corrected, "a"),
     ]
     return [*rows, ("The same, smoothed", drift.smoothed, "")] if drift.smoothed else rows
-
-
-def _drawings(
-    result: SlamResult, drift: DriftReport | None, paths: Paths, loops: list[Decision]
-) -> dict[str, Markup]:
-    first, second, third = paths.axes
-    drawings = {
-        "top": path_view(paths, loops, (min(first, second), max(first, second))),
-        "side": path_view(paths, loops, (min(first, third), max(first, third))),
-        "similarity": similarity_matrix(result, loops),
-        "distance": distance_matrix(paths, loops),
-        "error": error_over_time(paths, result, drift, loops),
-    }
-    if loops:
-        drawings["histogram"] = similarity_histogram(loops, result.min_similarity)
-    if result.calibration is not None:
-        drawings["calibrated"] = calibrated_range(result.calibration, result.min_similarity)
-    return drawings
 
 
 def _count(loops: list[Decision]) -> list[tuple[str, str, int]]:

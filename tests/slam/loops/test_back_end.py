@@ -202,8 +202,8 @@ def test_a_large_map_is_corrected_and_solved_from_its_last_correction(keyframes,
 
 
 def test_a_large_map_forgets_what_older_candidates_show(keyframes, monkeypatch):
-    monkeypatch.setattr("slam.loops.back_end._SHOWN_WITH_EVIDENCE", 2)
-    monkeypatch.setattr("slam.loops.back_end._RECENT", 1)
+    monkeypatch.setattr("slam.loops.evidence._SHOWN_WITH_EVIDENCE", 3)
+    monkeypatch.setattr("slam.loops.evidence._RECENT", 1)
     behind = back_end(Gate(), min_gap=1)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)
@@ -237,7 +237,7 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
 def test_the_first_loops_of_another_segment_do_not_wait_for_as_many_as_there_are(
     keyframes, monkeypatch
 ):
-    monkeypatch.setattr("slam.loops.back_end._LOOP_GROWTH", 10.0)
+    monkeypatch.setattr("slam.loops.correction_schedule._LOOP_GROWTH", 10.0)
     behind = back_end(Gate(), min_gap=2)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)

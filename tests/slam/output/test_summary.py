@@ -252,6 +252,7 @@ def test_without_truth_there_is_no_error_and_no_verdict():
     text = "\n".join(lines(result(), None))
     assert "ATE" not in text and "RPE" not in text and "false" not in text
     assert "2 accepted of 5 candidates, 2 outvoted by the graph\n" in text
+    assert "error      not known: no ground truth to compare with\n" in text
 
 
 def test_an_error_over_an_interval_that_no_frames_are_apart_is_said_to_be_unknown():

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from placerec import drawing
 from slam.config import Config, LoopConfig, MapConfig
 from slam.evaluation.comparison import Alignment, ComparisonConfig
 from slam.evaluation.drift import compare_drift
@@ -17,17 +16,12 @@ COMMAND = "run_slam path/to/room --recognizer learned"
 @pytest.fixture(scope="module")
 def written(run, tmp_path_factory):
     """Folders of three runs, the last one without ground truth."""
-    root, drift = tmp_path_factory.mktemp("runs"), None
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(drawing, "_save", lambda *_, **__: b"<svg></svg>")
-        drift = compare_drift(run.result, run.truth, CONFIG.evaluation)
-        for name, config, known in (
-            ("a", CONFIG, drift),
-            ("b", STRICT, drift),
-            ("c", CONFIG, None),
-        ):
-            truth = run.truth if known else None
-            write_run(root / name, run.result, known, truth, config, "room", COMMAND)
+    root = tmp_path_factory.mktemp("runs")
+    drift = compare_drift(run.result, run.truth, CONFIG.evaluation)
+    runs = ("a", CONFIG, drift), ("b", STRICT, drift), ("c", CONFIG, None)
+    for name, config, known in runs:
+        truth = run.truth if known else None
+        write_run(root / name, run.result, known, truth, config, "room", COMMAND)
     return root, drift
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from slam.evaluation.motion_truth import LoopTruth
 from slam.output.decision import decisions
-from slam.output.report.headline import headline, length
+from slam.output.report.headline import figures, headline, length
 
 
 def sentences(run, result=None, **drift_fields) -> list[str]:
@@ -104,7 +104,7 @@ def test_without_truth_it_says_how_far_loops_moved_the_path(run, altered) -> Non
     result = altered(trajectory=replace(run.result.trajectory, T_world_cam=moved))
     found = headline(result, None, decisions(result, None))
     assert found[0].startswith(
-        "Loop closure moved the camera path by up to 50.0 cm (25.0 cm on average). No ATE"
+        "Loop closure moved the camera path by up to 50.0 cm (25.0 cm on average)."
     )
     assert "false" not in " ".join(found)
 
@@ -134,3 +134,21 @@ def test_without_truth_or_loops_nothing_was_moved(run, altered) -> None:
 )
 def test_lengths_come_in_the_unit_people_use(metres: float, text: str) -> None:
     assert length(metres) == text
+
+
+def test_three_numbers_answer_first(run, altered) -> None:
+    loops = decisions(run.result, run.drift)
+    error, closed, tracked = figures(run.result, run.drift, loops)
+    assert error.value == length(run.drift.corrected.ate_rmse_m)
+    assert error.note.startswith("without loops ") and ", odometry " in error.note
+    kept = sum(loop.attempt.rejection is None for loop in loops)
+    assert closed.value == f"{kept} of 60"
+    assert closed.note == "none false by ground truth; 2 more outvoted by the rest"
+    assert (tracked.value, tracked.note) == ("200 of 200", "40 keyframes, 20.0 ms per frame")
+
+
+def test_an_error_that_nobody_knows_is_told_calmly(run) -> None:
+    error, closed, _ = figures(run.result, None, decisions(run.result, None))
+    assert error.value == "not known"
+    assert error.note == "no ground truth to compare with"
+    assert "false" not in closed.note

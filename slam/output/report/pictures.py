@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keyframes show, small: a picture of each for the page, and points for its map."""
+
+import base64
+from collections.abc import Iterable
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from slam.geometry.features import back_project, undistort
+from slam.output.decision import Decision
+from slam.result import SlamResult
+from slam.types import PREVIEW_SCALE, FloatArray, Frame
+
+_PICTURES_BYTES = 2_000_000
+_WIDEST_PX, _NARROWEST_PX = 320, 160
+_QUALITY = 60
+_BYTES_PER_PIXEL = 0.2  # about what such a JPEG takes, in base64
+
+_MOST_POINTS = 18_000  # before those without depth are left out; more make turning slow
+_MOST_KEYFRAMES = 200
+_FARTHEST = 2.5  # of the median depth, as in map.ply
+_STEPS = 32_000  # of whole numbers of 16 bits, to the farthest point
+
+
+def pictures(result: SlamResult, loops: Iterable[Decision]) -> dict[int, str]:
+    """Return JPEG data URIs of keyframes by their ids, of the first loops as many as have room."""
+    ids = list(dict.fromkeys(each.id for loop in loops for each in (loop.match, loop.query)))
+    if not result.has_images or not ids:
+        return {}
+    height, width = result.keyframes[0].preview.depth_m.shape
+    room = (_PICTURES_BYTES / (len(ids) * _BYTES_PER_PIXEL * height / width)) ** 0.5
+    size = min(width, _WIDEST_PX, max(_NARROWEST_PX, int(room)))
+    found: dict[int, str] = {}
+    left = _PICTURES_BYTES
+    keyframes = {keyframe.id: keyframe for keyframe in result.keyframes}
+    for number in ids:
+        picture = _picture(keyframes[number].preview, size)
+        left -= len(picture)
+        if left < 0:
+            break
+        found[number] = picture
+    return found
+
+
+def _picture(preview: Frame, width: int) -> str:
+    view = Image.fromarray(preview.rgb)
+    if view.width > width:
+        height = round(width * view.height / view.width)
+        view = view.resize((width, height), Image.Resampling.BILINEAR)
+    jpeg = BytesIO()
+    view.save(jpeg, "JPEG", quality=_QUALITY)
+    return "data:image/jpeg;base64," + packed(jpeg.getvalue())
+
+
+def map_points(result: SlamResult) -> dict[str, object] | None:
+    """Return points that keyframes saw, each in its own camera's frame; None without images.
+
+    Axes and colours of all are packed as whole numbers, keyframe after keyframe, so that the page
+    can put them where the keyframes were at every stage.
+    """
+    is_placed = np.isfinite(result.T_world_kf[:, 0, 0])
+    if not result.has_images or not is_placed.any():
+        return None
+    placed = [
+        each for each, has_place in zip(result.keyframes, is_placed, strict=True) if has_place
+    ]
+    chosen = placed[:: -(-len(placed) // _MOST_KEYFRAMES)]
+    height, width = result.keyframes[0].preview.depth_m.shape
+    stride = max(1, int(np.ceil((height * width * len(chosen) / _MOST_POINTS) ** 0.5)))
+    v, u = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
+    pixels = np.column_stack([u.ravel(), v.ravel()]) / PREVIEW_SCALE
+    pixels = undistort(pixels.astype(np.float64), result.camera)
+    depths_m, colours = [], []
+    for keyframe in chosen:
+        depths_m.append(keyframe.preview.depth_m[v, u].ravel().astype(np.float64))
+        colours.append(keyframe.preview.rgb[v, u].reshape(-1, 3))
+    depth_m = np.array(depths_m).reshape(len(chosen), -1)
+    farthest_m = _FARTHEST * float(np.median(depth_m[depth_m > 0.0])) if depth_m.any() else 1.0
+    is_seen = (depth_m > 0.0) & (depth_m <= farthest_m)
+    kept = [
+        back_project(pixels[seen], depth_m[k][seen], result.camera)
+        for k, seen in enumerate(is_seen)
+    ]
+    points_m: FloatArray = np.concatenate(kept)
+    unit_m = float(np.abs(points_m).max(initial=1e-6)) / _STEPS
+    colour: NDArray[np.uint8] = np.array(colours, np.uint8).reshape(-1, 3)[is_seen.ravel()]
+    return {
+        "keyframes": [each.id for each in chosen],
+        "counts": is_seen.sum(axis=1).tolist(),
+        "unit_m": unit_m,
+        "points": packed(np.rint(points_m / unit_m).astype("<i2").tobytes()),
+        "colours": packed(colour.tobytes()),
+    }
+
+
+def packed(content: bytes) -> str:
+    """Return bytes as base64, as the page unpacks them."""
+    return base64.b64encode(content).decode("ascii")
