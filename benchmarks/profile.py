@@ -25,7 +25,7 @@ from typing import TypeVar
 from unittest.mock import patch
 
 from slam.__main__ import main as run_slam
-from slam.stage_clock import StageClock
+from slam.loops.stage_clock import StageClock
 
 SAMPLES_PER_S = 200
 _Key = TypeVar("_Key")

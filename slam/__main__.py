@@ -10,6 +10,7 @@ from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from threading import Event
@@ -22,6 +23,7 @@ from placerec.commands import usage
 from placerec.commands.console import answer, note, progress_bar, say
 from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
+from slam.commands import COMMANDS
 from slam.config import Config, load_config
 from slam.types import Frame, SlamError
 
@@ -45,6 +47,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
+  run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -134,6 +137,10 @@ def main(arguments: list[str] | None = None) -> int:
     # A recognizer that is being written is found in the current folder, as by `python -m`.
     sys.path.append(str(Path.cwd()))
     typed = sys.argv[1:] if arguments is None else arguments
+    if typed[:1] and typed[0] in COMMANDS:  # a folder of that name is ./compare
+        command = import_module(f"slam.commands.{typed[0]}")
+        prog = f"run_slam {typed[0]}"
+        return answer(prog, typed[1:], command.main, interrupted="interrupted before it was done")
     return answer("run_slam", typed, _work, interrupted="interrupted before anything was tracked")
 
 

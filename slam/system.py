@@ -21,9 +21,9 @@ from slam.loops.atlas import odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
+from slam.loops.stage_clock import StageClock
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult, compared
-from slam.stage_clock import StageClock
 from slam.tracking.frame_log import FrameLog, LoggedFrames, check_frame
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed

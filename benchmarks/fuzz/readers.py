@@ -32,7 +32,8 @@ from slam.datasets import download, open_sequence, read_camera
 from slam.datasets.cameras import read_intrinsics
 from slam.datasets.images import read_color, read_depth
 from slam.datasets.images.exr import read_exr
-from slam.datasets.pose_files import read_odometry
+from slam.datasets.pose_files import read_odometry, read_trajectory
+from slam.output.comparison.runs import read_runs
 from slam.output.ledger import read_ledger
 from slam.pose_graph import read_g2o
 
@@ -286,6 +287,17 @@ def _poses(folder: Path, start_s: float = 100.0) -> object:
     return read_odometry(folder / "poses.txt", np.arange(FRAMES) / 30 + start_s, InputConfig())
 
 
+def _run_folder() -> Files:
+    poses = _pose_text("tum")
+    return {
+        "summary.json": b'{"command": "run_slam room", "warnings": [], "loops_tried": 3}',
+        "settings.toml": b"[loop]\ncandidates = 4\n",
+        "odometry.txt": poses,
+        "trajectory.txt": poses,
+        "groundtruth.txt": poses,
+    }
+
+
 def _bag(folder: Path, name: str) -> int:
     return len(list(open_sequence(folder / name, InputConfig())))
 
@@ -388,6 +400,14 @@ _TEXTS = [
         "intrinsics", "i.json", lambda: _realsense()["intrinsics.json"], read_intrinsics, True
     ),
     Reader("g2o", "graph.g2o", _graph, lambda folder: read_g2o(folder / "graph.g2o")),
+    *(
+        Reader(f"run/{file}", file, _run_folder, lambda folder: read_runs([folder]))
+        for file in ("summary.json", "settings.toml", "trajectory.txt")
+    ),
+    *(
+        _of_file(f"compared/{kind}", "poses.txt", partial(_pose_text, kind), read_trajectory, True)
+        for kind in ("tum", "kitti", "euroc")
+    ),
     Reader("ledger", "loops.jsonl", _ledger, lambda folder: read_ledger(folder / "loops.jsonl")),
     _of_file(
         "training-log",

@@ -14,10 +14,12 @@ from placerec.files import write_atomically
 from slam.config import InputConfig
 from slam.datasets.bags import is_bag, read_bag_odometry
 from slam.datasets.true_poses import rigid
+from slam.evaluation.trajectory import placeable
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
 _NANOSECONDS = 1e14  # no time in seconds is as large, and one in nanoseconds no smaller since 1970
+_NANOSECONDS_OF_TUM = 1e17  # in lines like TUM's, as some write them; microseconds are no larger
 _MIN_NORM = 1e-6
 # Poses leap to and fro between two frames where every one is so many times as far from the next as
 # from the one after, and further than this.
@@ -174,24 +176,8 @@ def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
         LoopcloseError: the file cannot be read, holds no pose or something else, has no time in
             common with the images, or mixes poses of two frames.
     """
-    lines = list(read_lines(file))
-    if lines and _is_header(lines[0][1]):
-        del lines[0]
-    if not lines:
-        raise SlamError(f"the file holds no pose ({_known()}): {file}")
-    tables = [_numbers(number, line, file) for number, line in lines]
-    form = _format(tables[0], lines[0], file)
+    form, lines, tables, T = _parsed(file)
     width = len(tables[0])
-    T = np.empty((len(lines), 4, 4))
-    for i, ((number, line), values) in enumerate(zip(lines, tables, strict=True)):
-        if len(values) != width:
-            raise SlamError(
-                f"line {number} has {len(values)} numbers, the first one {width}: {line!r}: {file}"
-            )
-        try:
-            T[i] = form.parse(np.array(values[form.has_time : form.count]))
-        except SlamError as error:
-            raise SlamError(f"line {number} {error}: {line!r}: {file}") from error
     if not form.has_time:
         trajectory = Trajectory(_images_of(len(T), images_s, file), T)
         _check_frame(trajectory, file)
@@ -215,6 +201,35 @@ def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
     return PoseFile(form, trajectory, stamps, tuple(warnings))
 
 
+def read_trajectory(file: Path) -> PoseFile:
+    """Read poses to be compared as they stand: nothing is sorted, left out or moved in time.
+
+    Where their lines have no times they get their numbers from 0; its format tells.
+
+    Raises:
+        LoopcloseError: the file cannot be read, holds no pose or something else, or a time is not
+            after the one before; the message names the line.
+    """
+    form, lines, tables, T = _parsed(file)
+    numbered = Trajectory(np.arange(len(T), dtype=np.float64), T)
+    for i in np.flatnonzero(~placeable(numbered))[:1].tolist():
+        number, line = lines[i]
+        raise SlamError(f"line {number} holds no numbers that a place can have: {line!r}: {file}")
+    if not form.has_time:
+        return PoseFile(form, numbered, ())
+    stamps_s = np.array([values[0] for values in tables])
+    for i in np.flatnonzero(np.diff(stamps_s) <= 0.0)[:1].tolist():
+        (before, _), (number, line) = lines[i], lines[i + 1]
+        is_again = stamps_s[i] == stamps_s[i + 1]
+        raise SlamError(
+            f"line {number} has {'the time of' if is_again else 'a time before that of'} line"
+            f" {before}; sort the lines by time, one per time: {line!r}: {file}"
+        )
+    if form is _EUROC or stamps_s[0] > _NANOSECONDS_OF_TUM:
+        stamps_s = stamps_s / 1e9
+    return PoseFile(form, Trajectory(stamps_s, T), ())
+
+
 def write_pose_file(file: Path, source: PoseFile, corrected: Trajectory) -> None:
     """Write poses as they are written in another file, at those of its times that they have.
 
@@ -229,6 +244,31 @@ def write_pose_file(file: Path, source: PoseFile, corrected: Trajectory) -> None
         numbers = [f"{value:.9f}" for value in np.round(form.numbers(T), 9) + 0.0]
         lines.append(separator.join([*([stamp_of[time_s]] if form.has_time else []), *numbers]))
     write_atomically(file, "\n".join(lines) + "\n")
+
+
+def _parsed(
+    file: Path,
+) -> tuple[PoseFormat, list[tuple[int, str]], list[list[float]], FloatArray]:
+    """Return the format, the N lines and their numbers, and their (N, 4, 4) poses."""
+    lines = list(read_lines(file))
+    if lines and _is_header(lines[0][1]):
+        del lines[0]
+    if not lines:
+        raise SlamError(f"the file holds no pose ({_known()}): {file}")
+    tables = [_numbers(number, line, file) for number, line in lines]
+    form = _format(tables[0], lines[0], file)
+    width = len(tables[0])
+    T = np.empty((len(lines), 4, 4))
+    for i, ((number, line), values) in enumerate(zip(lines, tables, strict=True)):
+        if len(values) != width:
+            raise SlamError(
+                f"line {number} has {len(values)} numbers, the first one {width}: {line!r}: {file}"
+            )
+        try:
+            T[i] = form.parse(np.array(values[form.has_time : form.count]))
+        except SlamError as error:
+            raise SlamError(f"line {number} {error}: {line!r}: {file}") from error
+    return form, lines, tables, T
 
 
 def _stamp(line: str, width: int) -> str:

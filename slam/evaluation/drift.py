@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far a run is from the truth: ATE and RPE of its trajectories, NEES of its motions."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,13 +8,14 @@ import numpy as np
 from placerec.datasets.tum_lists import nearest
 from slam.config import EvaluationConfig
 from slam.evaluation.camera_truth import camera_truth
+from slam.evaluation.coverage import coverage, sessions
 from slam.evaluation.motion_truth import LoopTruth, judge_links, judge_loops
+from slam.evaluation.pose_errors import pairs_in_time, relative_errors, root_mean_square
 from slam.evaluation.trajectory import align, associate, path_length_m
 from slam.geometry import se3
 from slam.result import SlamResult
 from slam.types import FloatArray, SlamError, Trajectory
 
-_MAX_TRUTH_GAP_S = 0.5  # ground truth without a pose for longer than this counts as interrupted
 _MIN_MATCHED_POSES = 3  # fewer positions do not fix an alignment in space
 
 
@@ -117,21 +117,15 @@ def trajectory_error(
     aligned_m = se3.transform(T_truth_world, T_world_cam[:, :3, 3])
     position_errors_m = np.linalg.norm(aligned_m - T_truth_cam[:, :3, 3], axis=1)
     stamps_s = estimate.timestamps_s[in_estimate]
-    interval_s = config.rpe_interval_s
-    first, second = np.arange(len(stamps_s)), nearest(stamps_s, stamps_s + interval_s)
-    is_pair = np.abs(stamps_s[second] - stamps_s - interval_s) <= tolerance_s
-    is_pair &= second > first
-    first, second = first[is_pair], second[is_pair]
-    T_true = se3.inverse(T_truth_cam[first]) @ T_truth_cam[second]
-    T_measured = se3.inverse(T_world_cam[first]) @ T_world_cam[second]
-    error = se3.inverse(T_true) @ T_measured
+    pairs = pairs_in_time(stamps_s, config.rpe_interval_s, tolerance_s)
+    errors_m, errors_deg = relative_errors(T_world_cam, T_truth_cam, pairs)
     return TrajectoryError(
         timestamps_s=stamps_s,
         T_truth_world=T_truth_world,
         position_errors_m=position_errors_m,
-        ate_rmse_m=_root_mean_square(position_errors_m),
-        rpe_translation_m=_root_mean_square(se3.translation_norm(error)),
-        rpe_rotation_deg=_root_mean_square(np.rad2deg(se3.rotation_angle(error))),
+        ate_rmse_m=root_mean_square(position_errors_m),
+        rpe_translation_m=root_mean_square(errors_m),
+        rpe_rotation_deg=root_mean_square(errors_deg),
         matched_share=len(in_estimate) / len(estimate),
     )
 
@@ -163,7 +157,7 @@ def compare_drift(result: SlamResult, truth: Trajectory, config: EvaluationConfi
         tolerance_s=config.max_time_difference_s,
         coverage=coverage(result.odometry, truth, starts_s),
         rpe_interval_s=config.rpe_interval_s,
-        truth_length_m=sum(path_length_m(each) for each in _sessions(compared, starts_s)),
+        truth_length_m=sum(path_length_m(each) for each in sessions(compared, starts_s)),
         truth=truth,
         doubts=(*found.doubts, *_doubts_about_scale(found.scale, result.camera.depth_scale)),
         unjudged=found.unjudged,
@@ -208,35 +202,6 @@ def _error_of_some(
         return trajectory_error(estimate, truth, config)
     except SlamError:
         return None
-
-
-def coverage(
-    estimate: Trajectory, truth: Trajectory, session_starts_s: Sequence[float] | FloatArray = ()
-) -> float:
-    """Return the share of an estimate's time span, 0 to 1, during which there is ground truth.
-
-    The breaks before sessions that start later are no part of it.
-    """
-    is_covered = np.diff(truth.timestamps_s) <= _MAX_TRUTH_GAP_S
-    covered_s = total_s = 0.0
-    for session in _sessions(estimate, session_starts_s):
-        start_s, end_s = session.timestamps_s[0], session.timestamps_s[-1]
-        stamps_s = np.clip(truth.timestamps_s, start_s, end_s)
-        covered_s += float(np.diff(stamps_s)[is_covered].sum())
-        total_s += end_s - start_s
-    return covered_s / total_s if total_s > 0.0 else 0.0
-
-
-def _sessions(
-    trajectory: Trajectory, session_starts_s: Sequence[float] | FloatArray
-) -> list[Trajectory]:
-    splits = np.searchsorted(trajectory.timestamps_s, session_starts_s)
-    columns = (np.split(each, splits) for each in vars(trajectory).values())
-    return [Trajectory(*part) for part in zip(*columns, strict=True) if len(part[0])]
-
-
-def _root_mean_square(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
 def _median(values: FloatArray) -> float:

@@ -143,6 +143,17 @@ def align(estimate_m: FloatArray, truth_m: FloatArray) -> FloatArray:
     )
 
 
+def scale_between(aligned_m: FloatArray, truth_m: FloatArray) -> float:
+    """Return how many times as large (N, 3) aligned positions have to be to lie on the truth best.
+
+    With `align` this is the similarity of Umeyama (1991). NaN where they are all in one place.
+    """
+    from_centre_m = aligned_m - aligned_m.mean(axis=0)
+    spread = float((from_centre_m**2).sum())
+    fitting = float((from_centre_m * (truth_m - truth_m.mean(axis=0))).sum())
+    return fitting / spread if spread > 0.0 else float("nan")
+
+
 def path_length_m(trajectory: Trajectory) -> float:
     """Return the length of the straight lines between consecutive positions, metres."""
     steps = np.diff(trajectory.T_world_cam[:, :3, 3], axis=0)

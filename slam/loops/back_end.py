@@ -23,8 +23,8 @@ from slam.loops.cost_of_odometry import borne_out
 from slam.loops.evidence import Evidence
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
+from slam.loops.stage_clock import StageClock
 from slam.pose_graph import GraphSolution, PoseGraph, solve_beside
-from slam.stage_clock import StageClock
 from slam.types import (
     Camera,
     FloatArray,

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from benchmarks import profile
-from slam.stage_clock import StageClock
+from slam.loops.stage_clock import StageClock
 
 
 def busy(clock, stage, seconds):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from placerec.errors import LoopcloseError
-from slam.datasets.pose_files import FORMATS, read_pose_file, write_pose_file
+from slam.datasets.pose_files import FORMATS, read_pose_file, read_trajectory, write_pose_file
 from slam.geometry import se3
 from slam.types import Trajectory
 
@@ -317,3 +317,30 @@ def test_poses_with_decimal_commas_are_read(tmp_path):
     found = read_pose_file(write(tmp_path, lines), STAMPS_S)
     np.testing.assert_allclose(found.trajectory.T_world_cam, T, atol=1e-9)
     assert found.stamps == STAMPS
+
+
+@pytest.mark.parametrize("kind", [kind for kind in WRITTEN if kind != "planar"])
+def test_poses_are_compared_as_they_stand(tmp_path, kind):
+    path = tmp_path / "poses"
+    path.write_text("\n".join(WRITTEN[kind]) + "\n")
+    found = read_trajectory(path)
+    np.testing.assert_allclose(found.trajectory.T_world_cam, T, atol=1e-8)
+    expected_s = STAMPS_NS_S if "EuRoC" in kind else STAMPS_S
+    expected_s = expected_s if found.format.has_time else np.arange(COUNT)
+    np.testing.assert_array_equal(found.trajectory.timestamps_s, expected_s)
+
+
+@pytest.mark.parametrize(
+    ("lines", "complaint"),
+    [
+        ([*tum(), tum()[-1]], "line 9 has the time of line 8"),
+        (tum()[::-1], "line 2 has a time before that of line 1"),
+        (["1 1e13 0 0 0 0 0 1"], "line 1 holds no numbers that a place can have"),
+        (["1 nan 0 0 0 0 0 1"], "line 1 holds something else than finite numbers"),
+    ],
+)
+def test_nothing_is_sorted_or_left_out_where_poses_are_compared(tmp_path, lines, complaint):
+    path = tmp_path / "poses"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(LoopcloseError, match=complaint):
+        read_trajectory(path)

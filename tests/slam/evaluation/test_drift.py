@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.config import EvaluationConfig
-from slam.evaluation.drift import compare_drift, coverage, trajectory_error
+from slam.evaluation.drift import compare_drift, trajectory_error
 from slam.evaluation.trajectory import read_tum
 from slam.geometry import se3
 from slam.result import SlamResult
@@ -116,19 +116,6 @@ def test_too_few_matches_name_gap_and_tolerance():
     nothing = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
     with pytest.raises(SlamError, match="holds no poses"):
         trajectory_error(nothing, square(), CONFIG)
-
-
-def test_coverage_counts_ends_and_gaps_of_the_truth():
-    estimate = along([0.0, 10.0], [np.eye(4)] * 2)
-
-    def truth_at(*stamps_s):
-        return along(stamps_s, [np.eye(4)] * len(stamps_s))
-
-    assert coverage(estimate, truth_at(*np.arange(-8, 48) * 0.25)) == 1.0
-    assert coverage(estimate, truth_at(*np.arange(8, 48) * 0.25)) == pytest.approx(0.8)
-    with_gap = [*np.arange(0, 13) * 0.25, *np.arange(20, 41) * 0.25]  # nothing from 3 s to 5 s
-    assert coverage(estimate, truth_at(*with_gap)) == pytest.approx(0.8)
-    assert coverage(estimate, truth_at(-3.0, -2.75)) == 0.0
 
 
 def seen(motion):
@@ -319,15 +306,6 @@ def test_figures_agree_with_evo():
     assert ours.rpe_translation_m == pytest.approx(rmse(rpe(relation.translation_part)), rel=1e-9)
     angle = relation.rotation_angle_deg
     assert ours.rpe_rotation_deg == pytest.approx(rmse(rpe(angle)), rel=1e-9)
-
-
-def test_the_breaks_between_sessions_need_no_truth():
-    estimate = along([0.0, 10.0, 500.0, 530.0], [np.eye(4)] * 4)
-    stamps_s = [*np.arange(0, 41) * 0.25, *np.arange(2040, 2121) * 0.25]  # from 510 s on
-    truth = along(stamps_s, [np.eye(4)] * len(stamps_s))
-    assert coverage(estimate, truth, [500.0]) == pytest.approx(0.75)
-    assert coverage(estimate, truth, [500.0, 600.0]) == pytest.approx(0.75)
-    assert coverage(estimate, truth) < 0.1
 
 
 def test_the_way_between_sessions_is_no_part_of_the_path():

@@ -13,8 +13,8 @@ from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor, grey_of
 from slam.loops.back_end import BackEnd
+from slam.loops.stage_clock import StageClock
 from slam.pose_graph import solve_beside
-from slam.stage_clock import StageClock
 from slam.tracking.tracked_frame import preview
 from slam.types import (
     Camera,

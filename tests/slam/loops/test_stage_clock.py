@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from slam import stage_clock
-from slam.stage_clock import StageClock
+from slam.loops import stage_clock
+from slam.loops.stage_clock import StageClock
 
 
 @pytest.fixture

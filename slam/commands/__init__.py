@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sub-commands of `run_slam`, one to a file with a `main` that takes what follows its name.
+
+`drift_report` is a command of its own.
+"""
+
+COMMANDS = {
+    "compare": "show finished runs side by side: errors, loops, warnings, differing settings",
+}
+"""What each does, by the name of its file."""
