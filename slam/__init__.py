@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from slam.evaluation.trajectory import read_tum as read_tum
     from slam.loops.correction import Correction as Correction
     from slam.output.run_folder import write_run as write_run
+    from slam.pose_graph.from_g2o import solve_g2o as solve_g2o
     from slam.result import SlamResult as SlamResult
     from slam.system import Slam as Slam
     from slam.tracking.tracked_frame import TrackedFrame as TrackedFrame
@@ -47,6 +48,7 @@ _HOME = {
     "compare_drift": "slam.evaluation.drift",
     "open_sequence": "slam.datasets",
     "read_tum": "slam.evaluation.trajectory",
+    "solve_g2o": "slam.pose_graph.from_g2o",
     "write_run": "slam.output.run_folder",
 }
 

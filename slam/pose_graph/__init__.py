@@ -11,12 +11,21 @@ from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.live import solve_beside
 
 if TYPE_CHECKING:
+    from slam.pose_graph.from_g2o import solve_g2o
     from slam.pose_graph.g2o import read_g2o, write_g2o
     from slam.pose_graph.weighing import solve
 
-__all__ = ["GraphSolution", "PoseGraph", "read_g2o", "solve", "solve_beside", "write_g2o"]
+__all__ = [
+    "GraphSolution",
+    "PoseGraph",
+    "read_g2o",
+    "solve",
+    "solve_beside",
+    "solve_g2o",
+    "write_g2o",
+]
 
-_HOME = {"read_g2o": "g2o", "solve": "weighing", "write_g2o": "g2o"}
+_HOME = {"read_g2o": "g2o", "solve": "weighing", "solve_g2o": "from_g2o", "write_g2o": "g2o"}
 
 
 def __getattr__(name: str) -> object:

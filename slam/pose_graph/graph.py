@@ -22,6 +22,7 @@ class PoseGraph:
         loops: by a key that their weight is found by.
         steps: what an odometry from elsewhere measured, believed as the links are.
         solved: (4, 4) by keyframe id, an earlier solution, from which a large graph is solved.
+        is_planar: whether motions differ by three numbers only, as those of a 2-D graph.
     """
 
     T_world_kf: Mapping[int, FloatArray]
@@ -29,6 +30,7 @@ class PoseGraph:
     loops: Mapping[int, Link]
     steps: Sequence[Link] = ()
     solved: Mapping[int, FloatArray] = field(default_factory=dict)
+    is_planar: bool = False
 
     @property
     def is_large(self) -> bool:

@@ -6,43 +6,47 @@ changes what was found out about the others, so there is one start: the last cor
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.live import graduated, squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
-from slam.pose_graph.robust import contested, doubts
+from slam.pose_graph.second_opinion import second_opinion
 from slam.types import FloatArray
 
 _MOST_STEPS = 20
 _AT_REST = 1e-8  # of a step: rad and m
-_MOST_SOFT_STEPS, _SOFT_AT_REST = 20, 1e-4  # an opinion needs no more than that
 
 
 def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     """Weigh all loops, of which or of steps there are some, and say what there is to doubt."""
     system = MotionSystem(graph)
-    limit = squared_error_limit(inlier_probability)
+    limit = squared_error_limit(inlier_probability, graph.is_planar)
     T, squared = graduated(system, limit)
-    for _ in range(_MOST_STEPS):
-        kept = squared < limit
-        T, size = system.step(T, kept.astype(np.float64))
-        squared = system.squared_errors(T)
-        if size < _AT_REST and ((squared < limit) == kept).all():
-            break
-    is_doubted = contested(kept, squared / limit, _softened(system, T, limit) / limit)
+    T, kept, squared = _at_rest(system, T, squared < limit, limit)
+    doubts: tuple[str, ...] = ()
+    if graph.loops:
+        cost = system.links_cost(T) + float(np.minimum(squared, limit).sum())
+        opinion = second_opinion(graph, system, inlier_probability, kept, squared, cost)
+        doubts = opinion.doubts
+        if opinion.T_world_kf is not None:
+            T, kept, _ = _at_rest(system, opinion.T_world_kf, opinion.kept, limit)
     return GraphSolution(
         dict(zip(graph.T_world_kf, T, strict=True)),
         dict(zip(graph.loops, kept.astype(np.float64).tolist(), strict=True)),
-        doubts(kept, is_doubted) if graph.loops else (),
+        doubts,
     )
 
 
-def _softened(system: MotionSystem, T_world_kf: FloatArray, limit: float) -> FloatArray:
-    """Return the (L,) squared errors where a Cauchy kernel, which ignores no loop, leads."""
+def _at_rest(
+    system: MotionSystem, T_world_kf: FloatArray, kept: NDArray[np.bool_], limit: float
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Return the poses once exactly the loops within the limit are believed, these and errors."""
     squared = system.squared_errors(T_world_kf)
-    for _ in range(_MOST_SOFT_STEPS):
-        T_world_kf, size = system.step(T_world_kf, 1.0 / (1.0 + squared / limit))
+    for _ in range(_MOST_STEPS):
+        T_world_kf, size = system.step(T_world_kf, kept.astype(np.float64))
         squared = system.squared_errors(T_world_kf)
-        if size < _SOFT_AT_REST:
+        if size < _AT_REST and ((squared < limit) == kept).all():
             break
-    return squared
+        kept = squared < limit
+    return T_world_kf, kept, squared

@@ -26,7 +26,7 @@ def solve_beside(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
     system = MotionSystem(graph)
-    limit = squared_error_limit(inlier_probability)
+    limit = squared_error_limit(inlier_probability, graph.is_planar)
     T, squared = graduated(system, limit)
     for _ in range(_POLISH_STEPS):
         T, _ = system.step(T, np.where(squared < limit, 1.0, 0.0))
@@ -37,9 +37,10 @@ def solve_beside(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     )
 
 
-def squared_error_limit(inlier_probability: float) -> float:
-    """Return the quantile of chi-square with six degrees of freedom."""
-    return 2.0 * float(gammaincinv(3.0, inlier_probability))  # scipy.stats takes long to load
+def squared_error_limit(inlier_probability: float, is_planar: bool = False) -> float:
+    """Return the quantile of chi-square with six degrees of freedom, in the plane with three."""
+    half = 1.5 if is_planar else 3.0
+    return 2.0 * float(gammaincinv(half, inlier_probability))  # scipy.stats takes long to load
 
 
 def graduated(system: MotionSystem, limit: float) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motions of a pose graph as arrays, and Gauss-Newton steps towards where they agree."""
 
+import copy
+
 import numpy as np
 import scipy.sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
 from slam.geometry import se3
@@ -16,29 +20,68 @@ _MOST_REPEATS, _REST = 30, 1e-8
 _WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+_NEXT_TO_NOTHING = 0.01  # of the information that half of the links have
+_AT_ONCE = 1000  # loops
+_DRAWS, _SEED = 64, 0  # enough to know a covariance of six numbers to a fifth
 
 
 class MotionSystem:
     """The links, steps and loops of a graph, loops last, and its normal equations.
 
     Attributes:
+        T_links: (K, 4, 4), where the graph begins: what the links make of it.
         T_start: (K, 4, 4), where the graph begins, but of a large one where its earlier solution
             has the keyframes, if it was solved; the others go on from the last one that it knew.
         is_solved: whether it was.
         first_loop: how many motions come before the loops.
+        loop_count: how many loops there are.
+        is_planar: whether motions differ by three numbers only.
     """
 
     def __init__(self, graph: PoseGraph) -> None:
         row_of = {k: row for row, k in enumerate(graph.T_world_kf)}
         motions = [*graph.links, *graph.steps, *graph.loops.values()]
         self.is_solved = graph.is_large and next(iter(graph.T_world_kf)) in graph.solved
-        self.T_start = _start(graph) if self.is_solved else np.array([*graph.T_world_kf.values()])
+        self.T_links = np.array([*graph.T_world_kf.values()])
+        self.T_start = _start(graph) if self.is_solved else self.T_links
         self.first_loop = len(graph.links) + len(graph.steps)
+        self.loop_count = len(graph.loops)
+        self.is_planar = graph.is_planar
         self._ref: IntArray = np.array([row_of[each.ref_id] for each in motions])
         self._query: IntArray = np.array([row_of[each.query_id] for each in motions])
         self._T_query_ref = se3.inverse(np.array([each.motion.T_ref_query for each in motions]))
         self._information = np.array([each.motion.information for each in motions])
         self._matrix = _BlockMatrix(self._ref, self._query, len(row_of))
+
+    @property
+    def loop_ends(self) -> IntArray:
+        """Return (L, 2) rows of the poses that loops tie, those of the reference first."""
+        return np.stack([self._ref, self._query], axis=1)[self.first_loop :]
+
+    @property
+    def bridges(self) -> NDArray[np.bool_]:
+        """Return (L,) which loops tie poses that only links of next to no information join."""
+        certain = np.linalg.eigvalsh(self._information[: self.first_loop])[:, 0]
+        is_firm = certain > _NEXT_TO_NOTHING * np.median(certain)
+        firm = (self._ref[: self.first_loop][is_firm], self._query[: self.first_loop][is_firm])
+        shape = (len(self.T_links), len(self.T_links))
+        joined = scipy.sparse.coo_array((np.ones(len(firm[0])), firm), shape=shape)
+        piece = connected_components(joined, directed=False)[1]
+        ref, query = self.loop_ends.T
+        return np.asarray(piece[ref] != piece[query])
+
+    def with_only(self, chosen: NDArray[np.bool_]) -> "MotionSystem":
+        """Return the system of the same poses with the (L,) chosen loops alone.
+
+        Loops of weight 0 cost as much as others: they tie together what is far apart.
+        """
+        rows = np.flatnonzero(np.concatenate([np.ones(self.first_loop, np.bool_), chosen]))
+        part = copy.copy(self)
+        part.loop_count = len(rows) - self.first_loop
+        part._ref, part._query = self._ref[rows], self._query[rows]
+        part._T_query_ref, part._information = self._T_query_ref[rows], self._information[rows]
+        part._matrix = _BlockMatrix(part._ref, part._query, len(self.T_links))
+        return part
 
     def squared_errors(self, T_world_kf: FloatArray) -> FloatArray:
         """Return (L,), the squared error of every loop in units of its covariance."""
@@ -46,17 +89,19 @@ class MotionSystem:
         errors = self._errors(T_world_kf, chosen)
         return np.asarray(np.einsum("ni,nij,nj->n", errors, self._information[chosen], errors))
 
+    def links_cost(self, T_world_kf: FloatArray) -> float:
+        """Return the sum of the squared errors of all that is no loop."""
+        chosen = slice(0, self.first_loop)
+        errors = self._errors(T_world_kf, chosen)
+        return float(np.einsum("ni,nij,nj->", errors, self._information[chosen], errors))
+
     def step(self, T_world_kf: FloatArray, loop_weights: FloatArray) -> tuple[FloatArray, float]:
         """Return the (K, 4, 4) poses after a step with (L,) weights, and its largest number."""
-        errors, information = self._errors(T_world_kf), self._information.copy()
+        errors, sides = self._linearised(T_world_kf)
+        information = self._information.copy()
         information[self.first_loop :] *= loop_weights[:, None, None]
-        # log(exp(e) exp(xi)) is e + xi to first order, and more exactly with half their bracket.
-        by_query = np.eye(6) + 0.5 * se3.small_adjoint(errors)
-        T_query_ref = se3.inverse(T_world_kf[self._query]) @ T_world_kf[self._ref]
-        by_ref = -by_query @ se3.adjoint(T_query_ref)
         gradient = np.zeros((len(T_world_kf), 6))
         blocks = []
-        sides = ((self._ref, by_ref), (self._query, by_query))
         for a, J_a in sides:
             weighted = J_a.transpose(0, 2, 1) @ information
             np.add.at(gradient, a, np.einsum("nij,nj->ni", weighted, errors))
@@ -64,6 +109,75 @@ class MotionSystem:
         step = self._matrix.solved(blocks, -gradient)
         moved: FloatArray = T_world_kf @ se3.exp(step)
         return moved, float(np.abs(step).max())
+
+    def draws(self, T_world_kf: FloatArray) -> FloatArray:
+        """Return (K, 6, D) tangents: how far off the poses may be, drawn from all motions.
+
+        What two poses have in common is in the draws, too: over any detour their difference says
+        how well the motions know the one between them.
+        """
+        _, sides = self._linearised(T_world_kf)
+        root = np.linalg.cholesky(self._information)
+        noise = root @ np.random.default_rng(_SEED).normal(size=(len(root), 6, _DRAWS))
+        right = np.zeros((len(T_world_kf), 6, _DRAWS))
+        blocks = []
+        for a, J_a in sides:
+            added = scipy.sparse.csr_array((np.ones(len(a)), (a, np.arange(len(a)))))
+            added.resize(len(right), len(a))
+            right += (added @ (J_a.transpose(0, 2, 1) @ noise).reshape(len(a), -1)).reshape(
+                right.shape
+            )
+            blocks += [J_a.transpose(0, 2, 1) @ self._information @ J_b for _, J_b in sides]
+        return self._matrix.solved_anew(blocks, right)
+
+    def predicted(self, T_world_kf: FloatArray, draws: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the (L, 6) errors of the loops and their (L, 6, 6) covariance before they count.
+
+        It is that of the loop and that of the poses by (K, 6, D) draws.
+        """
+        errors, sides = self._linearised(T_world_kf, slice(self.first_loop, None))
+        covariance = np.linalg.inv(self._information[self.first_loop :])
+        for first in range(0, len(errors), _AT_ONCE):  # the draws of all would take gigabytes
+            some = slice(first, first + _AT_ONCE)
+            off = np.asarray(sum(J_a[some] @ draws[a[some]] for a, J_a in sides))
+            covariance[some] += off @ off.transpose(0, 2, 1) / _DRAWS
+        return errors, covariance
+
+    def cycles(self, T_world_kf: FloatArray, draws: FloatArray, pairs: IntArray) -> FloatArray:
+        """Return (P,) squared errors of the cycles through (P, 2) loops and the ways between them.
+
+        The (K, 6, D) draws tell how well those ways are known.
+        """
+        first, second = (pairs + self.first_loop).T
+        ref, query, T_query_ref = self._ref, self._query, self._T_query_ref
+        T_ends = (
+            se3.inverse(T_world_kf[end[second]]) @ T_world_kf[end[first]] for end in (ref, query)
+        )
+        T_ref2_ref1, T_query2_query1 = T_ends
+        # Against the second loop, over the first: query 2, ref 2, ref 1, query 1, query 2.
+        T_cycle = T_query_ref[second] @ T_ref2_ref1 @ se3.inverse(T_query_ref[first])
+        T_cycle = T_cycle @ se3.inverse(T_query2_query1)
+        at_query1 = se3.adjoint(T_query2_query1)
+        at_ref1 = at_query1 @ se3.adjoint(T_query_ref[first])
+        at_ref2 = se3.adjoint(T_query_ref[second])
+        off = at_ref1 @ draws[ref[first]] - at_ref2 @ draws[ref[second]]
+        off += draws[query[second]] - at_query1 @ draws[query[first]]
+        noise = np.linalg.inv(self._information[[first, second]])
+        covariance = off @ off.transpose(0, 2, 1) / _DRAWS + noise[1]
+        covariance += at_query1 @ noise[0] @ at_query1.transpose(0, 2, 1)
+        errors = se3.log(T_cycle)
+        return np.asarray((errors * np.linalg.solve(covariance, errors[..., None])[..., 0]).sum(-1))
+
+    def _linearised(
+        self, T_world_kf: FloatArray, chosen: slice = slice(None)
+    ) -> tuple[FloatArray, tuple[tuple[IntArray, FloatArray], ...]]:
+        """Return the errors, and by which pose, and how, references and queries change them."""
+        errors = self._errors(T_world_kf, chosen)
+        ref, query = self._ref[chosen], self._query[chosen]
+        # log(exp(e) exp(xi)) is e + xi to first order, and more exactly with half their bracket.
+        by_query = np.eye(6) + 0.5 * se3.small_adjoint(errors)
+        T_query_ref = se3.inverse(T_world_kf[query]) @ T_world_kf[ref]
+        return errors, ((ref, -by_query @ se3.adjoint(T_query_ref)), (query, by_query))
 
     def _errors(self, T_world_kf: FloatArray, chosen: slice = slice(None)) -> FloatArray:
         ref, query = self._ref[chosen], self._query[chosen]
@@ -107,11 +221,7 @@ class _BlockMatrix:
 
         Its blocks are (M, 6, 6) each: from reference to itself, to query, and from that to both.
         """
-        added = np.concatenate([*blocks, _ANCHOR_INFORMATION * np.eye(6)[None]]).reshape(-1, 36)
-        summed = (self._sum @ added).reshape(-1, 6, 6)
-        size = 6 * len(right)
-        parts = (summed, self._columns, self._starts)
-        matrix = scipy.sparse.bsr_array(parts, shape=(size, size)).tocsc()
+        matrix = self._summed(blocks)
         in_place = np.empty_like(right)
         in_place[self._place_of] = right
         solution = self._nearly(matrix, in_place.ravel())
@@ -119,6 +229,21 @@ class _BlockMatrix:
             self._factors = splu(matrix, permc_spec="NATURAL", **_POSITIVE)
             solution = self._factors.solve(in_place.ravel())
         return np.asarray(solution.reshape(-1, 6)[self._place_of])
+
+    def solved_anew(self, blocks: list[FloatArray], right: FloatArray) -> FloatArray:
+        """Return the same for (K, 6, D) right; what was factorised for one stays as it was."""
+        in_place = np.empty_like(right)
+        in_place[self._place_of] = right
+        factors = splu(self._summed(blocks), permc_spec="NATURAL", **_POSITIVE)
+        solution = factors.solve(in_place.reshape(6 * len(right), -1))
+        return np.asarray(solution.reshape(right.shape)[self._place_of])
+
+    def _summed(self, blocks: list[FloatArray]) -> scipy.sparse.csc_array:
+        added = np.concatenate([*blocks, _ANCHOR_INFORMATION * np.eye(6)[None]]).reshape(-1, 36)
+        summed = (self._sum @ added).reshape(-1, 6, 6)
+        size = 6 * len(self._place_of)
+        parts = (summed, self._columns, self._starts)
+        return scipy.sparse.bsr_array(parts, shape=(size, size)).tocsc()
 
     def _nearly(self, matrix: scipy.sparse.csc_array, right: FloatArray) -> FloatArray | None:
         """Return the solution if the factors of an earlier matrix lead to it soon, else None."""

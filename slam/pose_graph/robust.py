@@ -7,14 +7,12 @@ with truncated least squares: a doubted factor costs its half chi-square, up to 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.pose_graph.batch import factor_errors, optimize
-from slam.types import MIN_TRUSTED_WEIGHT, FloatArray
+from slam.types import FloatArray
 
 SUPER_LINEAR = gtsam.GncScheduler.SuperLinear
 LINEAR = gtsam.GncScheduler.Linear
@@ -87,59 +85,3 @@ def _graduate(
         errors = factor_errors(graph, values)
     cost = float(np.where(is_doubted, np.minimum(errors, limits), errors).sum())
     return RobustSolution(values, weights, errors, limits, cost)
-
-
-# A motion is contested where one estimator believes it and to the other its error is more than this
-# many times the limit, twice the residual: those near the limit bend the map little either way.
-_CLEARLY_OUT = 4.0
-_ADVICE = "look at them in the loop ledger before trusting the result"
-
-
-def contested_motions(
-    graph: gtsam.NonlinearFactorGraph,
-    initial: gtsam.Values,
-    doubted: Sequence[int],
-    solution: RobustSolution,
-) -> NDArray[np.bool_]:
-    """Return the (D,) bool motions that the solution and a Cauchy kernel see clearly differently.
-
-    The solution is what `solve_robustly` made of the same graph, start and D doubted factors.
-    """
-    limits = solution.limits[doubted]
-    first = solution.errors[doubted] / limits
-    kernel_width = float(np.sqrt(2.0 * limits.min()))
-    cauchy = gtsam.noiseModel.mEstimator.Cauchy(kernel_width)
-    softened = graph.clone()
-    for i in doubted:
-        factor: Any = graph.at(i)
-        noise = gtsam.noiseModel.Robust.Create(cauchy, factor.noiseModel())
-        softened.replace(i, factor.cloneWithNewNoiseModel(noise))
-    reweighted = gtsam.LevenbergMarquardtOptimizer(softened, initial).optimize()
-    second = factor_errors(graph, reweighted)[doubted] / limits
-    return contested(solution.weights[doubted] > MIN_TRUSTED_WEIGHT, first, second)
-
-
-def contested(kept: NDArray[np.bool_], first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
-    """Return which of D motions two estimators see clearly differently; the first keeps some.
-
-    The (D,) squared errors are in units of the limit.
-    """
-    return np.where(kept, second > _CLEARLY_OUT, (second < 1.0) & (first > _CLEARLY_OUT))
-
-
-def doubts(kept: NDArray[np.bool_], doubted: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return a sentence if all loops were rejected, or a second estimator sees some otherwise.
-
-    The (L,) bool masks tell which loops the robust solve believes, and which are contested.
-    """
-    if len(kept) and not kept.any():
-        return (
-            f"all {len(kept)} loops contradict the odometry or each other and were left out, so "
-            f"the trajectory is the odometry's; {_ADVICE}",
-        )
-    if not doubted.any():
-        return ()
-    return (
-        f"two robust estimators disagree on {doubted.sum()} of {len(kept)} loops "
-        f"({kept.sum()} were kept, {(doubted & kept).sum()} of them contested); {_ADVICE}",
-    )

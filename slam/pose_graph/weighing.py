@@ -7,7 +7,9 @@ import numpy as np
 from slam.pose_graph.batch import optimize
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.large import solve_large
-from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, contested_motions, doubts, solve_robustly
+from slam.pose_graph.motion_system import MotionSystem
+from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, solve_robustly
+from slam.pose_graph.second_opinion import second_opinion
 from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, Link
 
 _ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
@@ -20,7 +22,7 @@ def solve(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     """Weigh all loops against the links and each other, and say what there is to doubt."""
     if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
-    if graph.is_large:
+    if graph.is_large or graph.is_planar:
         return solve_large(graph, inlier_probability)
     initial, believed = _believed(graph)
     if not graph.loops:
@@ -31,16 +33,22 @@ def solve(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     doubted = list(range(believed.size(), everything.size()))
     schedules = (SUPER_LINEAR,) if len(loops) > _MOST_FOR_LINEAR else (SUPER_LINEAR, LINEAR)
     solution = solve_robustly(everything, initial, doubted, inlier_probability, schedules)
-    weights = solution.weights[doubted]
-    contested = contested_motions(everything, initial, doubted, solution)
-    for loop, weight in zip(loops, weights, strict=True):
-        if weight > MIN_TRUSTED_WEIGHT:
+    kept = solution.weights[doubted] > MIN_TRUSTED_WEIGHT
+    squared, cost = 2.0 * solution.errors[doubted], 2.0 * solution.cost
+    system = MotionSystem(graph)
+    opinion = second_opinion(graph, system, inlier_probability, kept, squared, cost)
+    weights, values = solution.weights[doubted], solution.values
+    if opinion.T_world_kf is not None:
+        weights, values = opinion.kept.astype(np.float64), gtsam.Values()
+        for k, T_world_kf in zip(graph.T_world_kf, opinion.T_world_kf, strict=True):
+            values.insert(k, gtsam.Pose3(T_world_kf))
+    for loop, is_kept in zip(loops, opinion.kept, strict=True):
+        if is_kept:
             believed.add(loop)
-    values = optimize(believed, solution.values)
     return GraphSolution(
-        _poses(values, graph),
+        _poses(optimize(believed, values), graph),
         dict(zip(graph.loops, weights.tolist(), strict=True)),
-        doubts(weights > MIN_TRUSTED_WEIGHT, contested),
+        opinion.doubts,
     )
 
 

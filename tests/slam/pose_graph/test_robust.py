@@ -6,13 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.pose_graph.batch import factor_errors, optimize, pose_at
+from slam.pose_graph.batch import optimize, pose_at
 from slam.pose_graph.robust import (
     LINEAR,
     SUPER_LINEAR,
-    RobustSolution,
-    contested_motions,
-    doubts,
     solve_robustly,
 )
 from slam.types import MIN_TRUSTED_WEIGHT
@@ -64,54 +61,6 @@ def test_the_cheaper_schedule_wins() -> None:
     each = [solve_robustly(graph, chain, loops, 0.99, (one,)) for one in (SUPER_LINEAR, LINEAR)]
     both = solve_robustly(graph, chain, loops, 0.99)
     assert both.cost == min(one.cost for one in each)
-
-
-def test_nothing_is_doubted_where_the_estimators_agree() -> None:
-    graph, chain, loops = planar_laps(TRUE + FALSE)
-    solution = solve_robustly(graph, chain, loops, 0.99)
-    contested = contested_motions(graph, chain, loops, solution)
-    assert doubts(solution.weights[loops] > MIN_TRUSTED_WEIGHT, contested) == ()
-
-
-def test_a_wrong_answer_is_contested() -> None:
-    graph, chain, loops = planar_laps(TRUE + FALSE)
-    # As if the solver had got it the other way round: it believes nothing but one false loop.
-    spoilt = solve_robustly(graph, chain, loops[-1:], 0.99)
-    links_and_one = gtsam.NonlinearFactorGraph()
-    for i in [*range(loops[0]), loops[-1]]:
-        links_and_one.add(graph.at(i))
-    values = optimize(links_and_one, chain)
-    weights = np.zeros(graph.size())
-    weights[loops[-1]] = 1.0
-    wrong = type(spoilt)(values, weights, factor_errors(graph, values), spoilt.limits, 0.0)
-    contested = contested_motions(graph, chain, loops, wrong)
-    assert contested[-1]
-    assert contested[: len(TRUE)].any()
-    (sentence,) = doubts(weights[loops] > MIN_TRUSTED_WEIGHT, contested)
-    assert f"{contested.sum()} of {len(loops)} loops (1 were kept, 1 of them contested)" in sentence
-
-
-@pytest.mark.parametrize(
-    ("is_kept", "first", "second", "is_contested"),
-    [
-        (True, 0.5, 4.1, True),
-        (True, 0.5, 4.0, False),
-        (False, 4.1, 0.9, True),
-        (False, 4.0, 0.9, False),
-        (False, 4.1, 1.0, False),
-    ],
-)
-def test_contested_is_what_one_believes_and_the_other_sees_clearly_out(
-    monkeypatch: pytest.MonkeyPatch, is_kept: bool, first: float, second: float, is_contested: bool
-) -> None:
-    """The errors are given as multiples of the limit."""
-    graph, chain, loops = planar_laps(TRUE[:1])
-    limits = np.full(graph.size(), 5.0)
-    weights = np.full(graph.size(), float(is_kept))
-    errors = [limits * each for each in (first, second)]
-    monkeypatch.setattr("slam.pose_graph.robust.factor_errors", lambda *_: errors[1])
-    solution = RobustSolution(chain, weights, errors[0], limits, 0.0)
-    assert contested_motions(graph, chain, loops, solution).tolist() == [is_contested]
 
 
 def test_optimize_leaves_a_local_optimum() -> None:

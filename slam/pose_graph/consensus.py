@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A second opinion on the loops: the map grows from what the odometry can tell for sure.
+
+GNC asks how many loops a map can satisfy, so ten that repeat one mistake count ten times, and may
+bend an odometry beyond what it can be off. Here a loop has to be foretold: by the links and the
+loops believed before it, with their uncertainty over the whole detour. What is believed makes the
+next detour shorter. Nothing is believed for its number.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.geometry import se3
+from slam.pose_graph.motion_system import MotionSystem
+from slam.types import FloatArray
+
+# How much likelier a loop has to be true than to tie two poses anywhere in the map, as a logarithm:
+# as much as there is among many at once, else the likeliest first, for it makes others sure.
+_SURE, _LEAST, _AS_SURE = (9.0, 7.0), 5.0, 0.5
+# Of so many times as many loops one fits by chance.
+_BEYOND_CHANCE = 3.0
+_MOST_SECOND_THOUGHTS = 2
+_MOST_ROUNDS, _MOST_POSES = 150, 150_000  # of all rounds
+_MOST_TRIALS = 3  # of a loop that others drove out again
+_MOST_STEPS, _AT_REST = 10, 1e-3
+_ENOUGH, _LEAST_SCALE = 20, 0.02
+_LITTLE_TURN_RAD = 0.5
+_PAIRS, _SEED = 2000, 1  # of poses that tell how large the map is
+
+
+@dataclass(frozen=True)
+class Consensus:
+    """What the second opinion comes to.
+
+    Attributes:
+        T_world_kf: (K, 4, 4) float64, metres.
+        kept: (L,) bool, the loops that agree with it.
+        squared: (L,) float64, their squared errors in units of their covariance.
+        undecided: (L,) bool, loops that may be true as far as is known, and as well may not.
+        cost: the squared errors of all motions, of loops up to the limit.
+        chance_fits: as many of the loops that were left out would fit by chance.
+        is_complete: whether it came to an end; in a large map of a poor odometry it may not.
+    """
+
+    T_world_kf: FloatArray
+    kept: NDArray[np.bool_]
+    squared: FloatArray
+    undecided: NDArray[np.bool_]
+    cost: float
+    chance_fits: float
+    is_complete: bool
+
+
+def consensus(
+    system: MotionSystem, limit: float, wide: float, by_gnc: NDArray[np.bool_]
+) -> Consensus:
+    """Return what grows from the links of a system.
+
+    Beyond the limit of its squared error a loop is left out in the end, and beyond the wide one
+    it is not taken for foretold. Where links know next to nothing, as between two recordings,
+    nothing can be foretold: the first loops that lead over are those of L that GNC kept.
+    """
+    growth = _Growth(system, limit, wide, by_gnc & system.bridges)
+    results = [growth.result()]
+    for _ in range(_MOST_SECOND_THOUGHTS):
+        if not growth.give_up_chance_fits():
+            break
+        results.append(growth.result())
+    return min(results, key=lambda result: result.cost)
+
+
+class _Growth:
+    """A map that takes in one loop after the other."""
+
+    def __init__(
+        self, system: MotionSystem, limit: float, wide: float, given: NDArray[np.bool_]
+    ) -> None:
+        self._system, self._limit, self._wide = system, limit, wide
+        self._kept = given
+        self._T = _settled(system, system.T_links, self._kept)
+        # How sure a loop was when it was taken in, and how far from what was foretold.
+        self._evidence = np.where(given, np.inf, 0.0)
+        self._foretold = np.zeros(system.loop_count)
+
+    def result(self) -> Consensus:
+        """Return what the map comes to once nothing more is sure enough."""
+        system, scale = self._system, self._scale()
+        trials = np.zeros(system.loop_count, np.int64)
+        spread = _spread(self._T)
+        rounds = min(_MOST_ROUNDS, 1 + _MOST_POSES // len(self._T))
+        for _ in range(rounds):
+            draws = system.with_only(self._kept).draws(self._T)
+            errors, covariance = system.predicted(self._T, draws)
+            squared = _squared(errors, covariance)
+            is_open = ~self._kept & (squared < scale * self._wide)
+            evidence = _evidence(errors, scale * covariance, spread)
+            new = _next(np.where(is_open & (trials < _MOST_TRIALS), evidence, -np.inf))
+            is_complete = not new.any()
+            if is_complete:
+                break
+            trials += new
+            self._evidence[new], self._foretold[new] = evidence[new], squared[new]
+            self._move_to(self._kept | new)
+            self._kept &= system.squared_errors(self._T) < self._wide
+            scale = self._scale()
+        T, kept, squared = self._polished()
+        cost = system.links_cost(T) + float(np.minimum(squared, self._limit).sum())
+        fits = self._chance_of_fitting(scale * covariance[~kept], spread)
+        return Consensus(T, kept, squared, is_open & ~kept, cost, float(fits.sum()), is_complete)
+
+    def give_up_chance_fits(self) -> bool:
+        """Give up what may have fitted by chance, among so many that did not; say if any did."""
+        left_out = np.count_nonzero(~self._kept)
+        weak = self._kept & (self._evidence < np.log1p(left_out) + _BEYOND_CHANCE)
+        if weak.any():
+            self._move_to(self._kept & ~weak)
+        return bool(weak.any())
+
+    def _chance_of_fitting(self, covariance: FloatArray, spread: FloatArray) -> FloatArray:
+        """Return (N,) how likely loops fit where they are foretold, if they are false.
+
+        It is the share of the map that the ellipsoid of the wide limit covers.
+        """
+        half = 1.5 if self._system.is_planar else 3.0
+        exact = _evidence(np.zeros((len(covariance), 6)), covariance, spread)
+        share = (0.5 * self._wide) ** half / math.gamma(half + 1.0) * np.exp(-exact)
+        return np.asarray(np.minimum(share, 1.0))
+
+    def _move_to(self, kept: NDArray[np.bool_]) -> None:
+        self._kept, self._T = kept, _settled(self._system, self._T, kept)
+
+    def _scale(self) -> float:
+        """Return how much smaller the covariances really are than they are said to be, 1 at most.
+
+        Loops that came close were taken in first, so it is twice of what those show.
+        """
+        if np.count_nonzero(self._kept) < _ENOUGH:
+            return 1.0
+        largest = float(np.quantile(self._foretold[self._kept], 0.95))
+        return min(max(2.0 * largest / self._limit, _LEAST_SCALE), 1.0)
+
+    def _polished(self) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+        """Return the poses once exactly the loops within the limit are believed."""
+        T, kept = self._T, self._kept
+        for _ in range(_MOST_STEPS):
+            T = _settled(self._system, T, kept)
+            squared = self._system.squared_errors(T)
+            before, kept = kept, squared < self._limit
+            if (before == kept).all():
+                break
+        return T, kept, squared
+
+
+def _next(evidence: FloatArray) -> NDArray[np.bool_]:
+    """Return the loops to be believed next."""
+    for least in _SURE:
+        if (evidence > least).any():
+            return evidence > least
+    best = float(evidence.max(initial=-np.inf))
+    return (evidence > best - _AS_SURE) & (best > _LEAST)
+
+
+def _evidence(errors: FloatArray, covariance: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return (L,) how much likelier loops are true than false, as a logarithm.
+
+    A false loop is one between two poses that are anywhere in the map to each other.
+    """
+    return _log_density(errors, covariance) - _log_density(errors, covariance + spread)
+
+
+def _log_density(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    volume = np.linalg.slogdet(covariance)[1]
+    return np.asarray(-0.5 * (_squared(errors, covariance) + volume))
+
+
+def _squared(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    weighted = np.linalg.solve(covariance, errors[..., None])[..., 0]
+    return np.asarray((errors * weighted).sum(axis=-1))
+
+
+def _spread(T_world_kf: FloatArray) -> FloatArray:
+    """Return the (6, 6) covariance of the motions between poses anywhere in the map.
+
+    It is diagonal: those along a circle are all about one screw, but a false loop need not be. Nor
+    does it look where a camera looks that hardly turns.
+    """
+    a, b = np.random.default_rng(_SEED).integers(len(T_world_kf), size=(2, _PAIRS))
+    motions = se3.log(se3.inverse(T_world_kf[a]) @ T_world_kf[b])
+    variances = (motions**2).mean(axis=0)
+    if variances[:3].max() < _LITTLE_TURN_RAD**2:
+        variances[:3] = _LITTLE_TURN_RAD**2
+    return np.diag(variances)
+
+
+def _settled(system: MotionSystem, T: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+    believed = system.with_only(kept)
+    weights = np.ones(believed.loop_count)
+    for _ in range(_MOST_STEPS):
+        T, size = believed.step(T, weights)
+        if size < _AT_REST:
+            break
+    return T

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from slam.pose_graph.consensus import Consensus, consensus
+from slam.pose_graph.live import squared_error_limit
+from slam.pose_graph.motion_system import MotionSystem
+
+LIMIT, WIDE = squared_error_limit(0.95), squared_error_limit(0.999)
+
+
+def found(graph) -> Consensus:
+    return consensus(MotionSystem(graph), LIMIT, WIDE, np.ones(len(graph.loops), np.bool_))
+
+
+def test_true_loops_are_foretold(corridors):
+    world = corridors()
+    answer = found(world.graph(world.true(0) + world.true(45)))
+    assert answer.kept.sum() >= 18 and not answer.undecided.any()
+
+
+@pytest.mark.parametrize("clusters", [1, 3])
+def test_loops_that_only_agree_with_each_other_are_not(corridors, clusters):
+    world = corridors()
+    alike = [loop for i in range(clusters) for loop in world.alike(5 + 20 * i, 70 + 12 * i)]
+    answer = found(world.graph(world.true(0) + alike))
+    assert answer.kept[:10].sum() >= 9
+    assert not answer.kept[10:].any() and not answer.undecided[10:].any()
+
+
+def test_where_the_odometry_knows_nothing_a_cluster_is_undecided(corridors):
+    world = corridors(worse=60.0)
+    answer = found(world.graph(world.alike(5, 75)))
+    assert answer.undecided.all() and not answer.kept.any()
+
+
+def test_what_is_believed_makes_sure_what_was_not(corridors):
+    """A round is too far for this odometry; the places of the first loops make others near."""
+    world = corridors(worse=12.0)
+    far, near = (
+        world.true(30),
+        [world.measured(k, k + 4, world.motion(k, k + 4)) for k in range(70)],
+    )
+    alone = found(world.graph(far))
+    together = found(world.graph(far + near))
+    assert alone.kept[:10].sum() <= together.kept[:10].sum()
+    assert together.kept[:10].sum() >= 9
+
+
+def test_an_odometry_that_is_better_than_it_says_is_found_out(corridors):
+    """By what it claims, the false cluster could be true; by how well it did, not."""
+    modest = corridors(claimed=10.0)
+    near = [modest.measured(k, k + 3, modest.motion(k, k + 3)) for k in range(0, 110, 2)]
+    answer = found(modest.graph(near + modest.true(20) + modest.alike(5, 75)))
+    assert answer.kept[: len(near) + 10].mean() > 0.9
+    assert not answer.kept[len(near) + 10 :].any()
+
+
+def test_the_same_graph_gives_the_same_answer(corridors):
+    world = corridors()
+    graph = world.graph(world.true(0) + world.alike(5, 75))
+    first, second = found(graph), found(graph)
+    assert first.T_world_kf.tobytes() == second.T_world_kf.tobytes()
+    np.testing.assert_array_equal(first.kept, second.kept)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from slam.pose_graph import solve
+from slam.pose_graph.second_opinion import contested, doubts
+
+PROBABILITY = 0.95
+
+
+def kept(solution):
+    return [key for key, weight in solution.weights.items() if weight > 0.5]
+
+
+@pytest.mark.parametrize("small", [30, 500], ids=["as large", "as small"])
+def test_a_cluster_beyond_what_the_odometry_can_be_off_is_left_out_by_name(
+    corridors, monkeypatch, small
+):
+    """It is cheaper to bend the odometry than to leave out ten loops, and GNC takes them."""
+    monkeypatch.setattr("slam.pose_graph.graph._SMALL", small)
+    world = corridors()
+    graph = world.graph(world.alike(30, 72))
+    solution = solve(graph, PROBABILITY)
+    assert kept(solution) == []
+    assert world.rmse_m(solution.T_world_kf) <= world.rmse_m(graph.T_world_kf) + 1e-6
+    assert len(solution.warnings) >= 1
+
+
+def test_what_the_odometry_cannot_decide_is_left_out_and_said(corridors):
+    world = corridors(worse=60.0)
+    graph = world.graph(world.alike(5, 75))
+    solution = solve(graph, PROBABILITY)
+    assert kept(solution) == []
+    assert world.rmse_m(solution.T_world_kf) == pytest.approx(
+        world.rmse_m(dict(graph.T_world_kf)), abs=1e-3
+    )
+    text = " ".join(solution.warnings)
+    assert "10 loops that agree of keyframes 5-14 and 75-84" in text
+    assert "the odometry cannot tell whether it is true" in text
+
+
+def test_where_both_agree_nothing_is_said(corridors):
+    world = corridors()
+    solution = solve(world.graph(world.true(0) + world.true(45)), PROBABILITY)
+    assert len(kept(solution)) >= 18
+    assert solution.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("is_kept", "first", "second", "is_contested"),
+    [
+        (True, 0.5, 4.1, True),
+        (True, 0.5, 4.0, False),
+        (False, 4.1, 0.9, True),
+        (False, 4.0, 0.9, False),
+        (False, 4.1, 1.0, False),
+    ],
+)
+def test_contested_is_what_one_believes_and_the_other_sees_clearly_out(
+    is_kept, first, second, is_contested
+):
+    """The errors are given as multiples of the limit."""
+    found = contested(np.array([is_kept]), np.array([first]), np.array([second]))
+    assert found.tolist() == [is_contested]
+
+
+def test_a_doubt_counts_what_was_kept_of_the_contested():
+    (sentence,) = doubts(np.array([True, True, False]), np.array([True, False, True]), ": those")
+    assert "2 of 3 loops (2 were kept, 1 of them contested): those; look at them" in sentence
+    assert doubts(np.array([True]), np.array([False])) == ()
+    (sentence,) = doubts(np.array([False]), np.array([False]))
+    assert "all 1 loops" in sentence
