@@ -10,7 +10,7 @@ from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, EvaluationConfig, FeaturesConfig, LoopConfig
 from slam.evaluation.drift import compare_drift
 from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor
+from slam.geometry.features import FeatureExtractor, grey_of
 from slam.loops.second_look import NEEDED, SecondLook, rerank
 from slam.output.summary import summarise
 from slam.system import Slam
@@ -69,7 +69,7 @@ def test_a_mirrored_scene_or_one_of_repeated_texture_is_no_true_pair(views):
 
 def test_frames_of_one_place_have_more_in_common_than_others(frames, sequence, T_first_cam):
     extract = FeatureExtractor(sequence.camera, FeaturesConfig()).extract
-    first, near, far = (extract(frames[k]) for k in (0, 59, 29))
+    first, near, far = (extract(grey_of(frames[k].rgb), frames[k].depth_m) for k in (0, 59, 29))
     right, wrong = rerank(first, [near, far], sequence.camera)
     apart_m = np.linalg.norm(T_first_cam[[59, 29], :3, 3], axis=1)
     assert apart_m[0] < apart_m[1]
