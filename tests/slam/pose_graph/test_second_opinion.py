@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.pose_graph import solve
-from slam.pose_graph.second_opinion import contested, doubts
+from slam.pose_graph.second_opinion import contested, doubts, second_opinion
 
 PROBABILITY = 0.95
 
@@ -70,3 +72,23 @@ def test_a_doubt_counts_what_was_kept_of_the_contested():
     assert doubts(np.array([True]), np.array([False])) == ()
     (sentence,) = doubts(np.array([False]), np.array([False]))
     assert "all 1 loops" in sentence
+
+
+def test_a_large_graph_solved_on_the_way_is_only_looked_at_where_there_is_a_doubt(
+    corridors, monkeypatch
+):
+    monkeypatch.setattr("slam.pose_graph.graph._SMALL", 30)
+    world, asked = corridors(), []
+
+    def noted(*about):
+        asked.append(about)
+        return second_opinion(*about)
+
+    monkeypatch.setattr("slam.pose_graph.large.second_opinion", noted)
+    sound = world.graph(world.true(0) + world.true(45))
+    solution = solve(replace(sound, solved=sound.T_world_kf), PROBABILITY)
+    assert len(kept(solution)) >= 18 and not asked and solution.warnings == ()
+    bent = world.graph(world.alike(30, 72))
+    solution = solve(replace(bent, solved=bent.T_world_kf), PROBABILITY)
+    assert kept(solution) == [] and len(asked) == 1
+    assert world.rmse_m(solution.T_world_kf) <= world.rmse_m(bent.T_world_kf) + 1e-6
