@@ -136,6 +136,32 @@ class Rejection:
 
 
 @dataclass(frozen=True)
+class Check:
+    """What a stage measured of a loop candidate, whatever it decided.
+
+    Attributes:
+        reason: what the candidate is rejected for where it does not pass.
+        measured, needed: the number that decides, and what it has to be.
+        passed: whether the stage said yes.
+    """
+
+    reason: RejectionReason
+    measured: float
+    needed: float
+    passed: bool
+
+    @staticmethod
+    def at_least(reason: RejectionReason, measured: float, needed: float) -> "Check":
+        """Return the check of a number that must not be smaller than what is needed."""
+        return Check(reason, measured, needed, bool(measured >= needed))
+
+    @property
+    def rejection(self) -> Rejection | None:
+        """Why the stage said no, None where it said yes."""
+        return None if self.passed else Rejection(self.reason, self.measured, self.needed)
+
+
+@dataclass(frozen=True)
 class RelativePose:
     """A rigid motion between two views, as measured.
 
@@ -159,12 +185,14 @@ class Verification:
             the points, (0, 4) of most loops in a large map.
         inlier_mask: (M,) bool, the matches that agree with the motion.
         points_ref_m: (M, 3) float32, what the matches show, metres, reference camera frame.
+        checks: what was measured on the way, in order; of what came before an end, all.
     """
 
     outcome: RelativePose | Rejection
     pixels: NDArray[np.float32]
     inlier_mask: NDArray[np.bool_]
     points_ref_m: NDArray[np.float32]
+    checks: tuple[Check, ...] = ()
 
     @property
     def without_evidence(self) -> "Verification":
@@ -191,6 +219,7 @@ class LoopAttempt:
             before the graph was solved and for candidates that it was not given.
         min_similarity: from which candidates were verified when it was looked at, None where that
             is not on record.
+        checks: what each stage measured of it, from the similarity to the pose graph.
     """
 
     query_id: int
@@ -200,6 +229,7 @@ class LoopAttempt:
     outcome: RelativePose | Rejection
     weight: float | None = None
     min_similarity: float | None = None
+    checks: tuple[Check, ...] = ()
 
     @property
     def rejection(self) -> Rejection | None:

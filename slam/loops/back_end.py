@@ -189,7 +189,7 @@ class BackEnd:
             graph = largest.graph
             without = self._solve(replace(graph, loops={}))
         attempts = tuple(
-            in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
+            in_the_end(attempt, key, solution, largest.unjoined)
             for key, attempt in enumerate(self.attempts)
         )
         T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)

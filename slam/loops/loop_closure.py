@@ -21,6 +21,7 @@ from slam.loops.second_look import SecondLook
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
     Camera,
+    Check,
     IntArray,
     Keyframe,
     LoopAttempt,
@@ -204,37 +205,48 @@ class LoopCloser:
     def _look_again(
         self, query: Keyframe, matches: Sequence[Keyframe], similarities: NDArray[np.float32]
     ) -> tuple[LoopAttempt, ...]:
-        looked_at: list[tuple[int, Rejection | None]] = [(k, None) for k in range(len(matches))]
+        looked_at: list[tuple[int, Check | None]] = [(k, None) for k in range(len(matches))]
         # All of them are similar enough, or one is looked at that is not.
         if self._loop_config.second_look and (similarities >= self.min_similarity).any():
-            looked_at = self._second_look.choose(query, matches)
+            looked_at = list(self._second_look.choose(query, matches))
         return tuple(
-            self._attempt(query, matches[k], float(similarities[k]), refusal)
-            for k, refusal in looked_at
+            self._attempt(query, matches[k], float(similarities[k]), second)
+            for k, second in looked_at
         )
 
     def _attempt(
-        self, query: Keyframe, match: Keyframe, similarity: float, refusal: Rejection | None
+        self, query: Keyframe, match: Keyframe, similarity: float, second: Check | None
     ) -> LoopAttempt:
-        needed = self.min_similarity
-        if similarity < needed:
-            refusal = Rejection(RejectionReason.LOW_SIMILARITY, similarity, needed)
-        verification, outcome = (None, refusal) if refusal else self._verified(query, match)
+        needed, verification = self.min_similarity, None
+        first = Check.at_least(RejectionReason.LOW_SIMILARITY, similarity, needed)
+        checks = (first, second) if second else (first,)
+        outcome: RelativePose | Rejection | None
+        outcome = next((each.rejection for each in checks if each.rejection), None)
+        if outcome is None:
+            verification, outcome, seen = self._verified(query, match)
+            checks = (*checks, *seen)
         return LoopAttempt(
-            query.id, match.id, similarity, verification, outcome, min_similarity=needed
+            query.id,
+            match.id,
+            similarity,
+            verification,
+            outcome,
+            min_similarity=needed,
+            checks=checks,
         )
 
     def _verified(
         self, query: Keyframe, match: Keyframe
-    ) -> tuple[Verification, RelativePose | Rejection]:
+    ) -> tuple[Verification, RelativePose | Rejection, tuple[Check, ...]]:
         config = self._verification_config
         verification = estimate_relative_pose(match.features, query.features, self._camera, config)
-        outcome = verification.outcome
+        outcome, checks = verification.outcome, verification.checks
         if isinstance(outcome, RelativePose):
             depth_m = typical_depth_m(match.features, query.features)
             turning = (match.turning_rad_s, query.turning_rad_s)
             outcome = loop_noise(outcome, self._camera, depth_m, *turning)
             share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
-            if share > most:
-                outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, share, most)
-        return verification, outcome
+            certain = Check(RejectionReason.UNCERTAIN_MOTION, share, most, bool(share <= most))
+            checks += (certain,)
+            outcome = certain.rejection or outcome
+        return verification, outcome, checks
