@@ -86,6 +86,13 @@ class Features:
     depth_m: NDArray[np.float32]
     points_m: NDArray[np.float32]
 
+    @staticmethod
+    def none() -> "Features":
+        """Return those of a frame that has none."""
+        pixels, numbers = np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
+        descriptors, points_m = np.zeros((0, 32), np.uint8), np.zeros((0, 3), np.float32)
+        return Features(pixels, pixels, np.zeros(0, np.uint8), descriptors, numbers, points_m)
+
 
 @dataclass(frozen=True)
 class Keyframe:

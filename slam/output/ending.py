@@ -10,7 +10,8 @@ from slam.datasets.pose_files import PoseFile
 from slam.evaluation.drift import DriftReport, compare_drift
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
-from slam.output.journal import Header
+from slam.output.journal import Header, read_journal
+from slam.output.measurements import Measurements
 from slam.output.run_folder import write_outputs
 from slam.output.summary import summary_table
 from slam.result import SlamResult
@@ -31,6 +32,8 @@ class Run:
         truth: the true camera poses, None without.
         poses: the poses from elsewhere, None without.
         doubts: asks what is to be said of the recordings; reading them may add something.
+        keeps: whether it keeps what it measured, so that it can be decided again.
+        draws: whether it has a report.
     """
 
     claimed: ClaimedFolder
@@ -39,6 +42,8 @@ class Run:
     truth: Trajectory | None
     poses: PoseFile | None
     doubts: Callable[[], tuple[str, ...]]
+    keeps: bool = True
+    draws: bool = True
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,7 @@ def conclude(
     give_back()  # to finish takes the most at once
     result = slam.finish()
     give_back()
+    measured = _measured(run, slam) if run.keeps and not unwritten else None
     drift, doubts = _judge(result, run, problems)
     if unwritten:
         doubts = (f"the work could not be kept on disk on the way: {cause_of(unwritten)}", *doubts)
@@ -94,6 +100,8 @@ def conclude(
             run.header.title,
             run.header.command,
             run.poses,
+            measured,
+            run.draws,
         )
     except LoopcloseError as error:
         problems.append(str(error))
@@ -105,7 +113,17 @@ def conclude(
         )
     if result.given and not result.given.fits:
         problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
-    return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
+    return Ended(summary_table(result, drift, folder, run.draws), (*problems, *result.missing))
+
+
+def _measured(run: Run, slam: Slam) -> Measurements | None:
+    """Return what a run measured; None where keyframes were tracked that it did not get to."""
+    journal = read_journal(run.claimed.unfinished)
+    keyframes = sum(bool(each and each.new_keyframe) for _, each in journal.frames)
+    if keyframes != len(T_odom_kf := slam.T_odom_kf):
+        return None
+    journal.T_odom_kf.update(T_odom_kf)
+    return Measurements(journal, slam.remembered, run.truth)
 
 
 def _judge(

@@ -72,20 +72,11 @@ def frame_of(line: Line, image: Frame) -> TrackedFrame:
     if "keyframe" not in line:
         return TrackedFrame(keyframe_id, T_kf_cam, T_odom_cam, segment, covered=covered)
     timestamp_s, T = line["keyframe"]
-    none = np.zeros((0, 2), np.float32)
-    features = Features(
-        none,
-        none,
-        np.zeros(0, np.uint8),
-        np.zeros((0, 32), np.uint8),
-        np.zeros(0, np.float32),
-        np.zeros((0, 3), np.float32),
-    )
     keyframe = Keyframe(
         keyframe_id,
         float(timestamp_s),
         _matrix(T),
-        features,
+        Features.none(),
         image,
         float(line["turning_rad_s"]),
         segment,

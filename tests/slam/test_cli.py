@@ -41,8 +41,15 @@ from slam.types import SlamError
 
 ROOT = Path(__file__).parents[2]
 OUTPUTS = [
-    *("groundtruth.txt", "keyframes.txt", "loops.jsonl", "map.ply", "odometry.txt"),
-    *("pose_graph.g2o", "report.html", "settings.toml", "summary.json", "trajectory.txt"),
+    *("groundtruth.txt", "keyframes.txt", "loops.jsonl", "map.ply", "measurements.npz"),
+    *(
+        "odometry.txt",
+        "pose_graph.g2o",
+        "report.html",
+        "settings.toml",
+        "summary.json",
+        "trajectory.txt",
+    ),
 ]
 QUICK = ("--map.write", "False")
 

@@ -208,7 +208,10 @@ def test_a_killed_run_is_read_from_its_folder_but_for_what_is_torn(tmp_path):
 
 @pytest.mark.parametrize(
     ("written", "told"),
-    [('"version": 2', "is of schema 2, .* update loopclose"), ('"older": 1', "was written before .*")],
+    [
+        ('"version": 2', "is of schema 2, .* update loopclose"),
+        ('"older": 1', "was written before .*"),
+    ],
 )
 def test_another_version_of_the_schema_is_told(tmp_path, written, told):
     path = tmp_path / "loops.jsonl"
