@@ -45,8 +45,6 @@ class Arguments:
     """Folder for the outputs, RUN-replay unless told."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings instead of the run's; flags win over it."""
-    report: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Draw report.html, too, which takes some seconds."""
     settings: Annotated[Config, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = field(
         default_factory=Config
     )
@@ -141,8 +139,8 @@ def _decide(arguments: Arguments, measured: "Measurements") -> None:
             raise SlamError(
                 f"what the run measured makes no sense: {cause_of(error)}: {run}"
             ) from error
-        truth, draws = measured.truth, arguments.report
-        asked = Run(claimed, header, settings, truth, poses, lambda: told, False, draws)
+        truth = measured.truth
+        asked = Run(claimed, header, settings, truth, poses, lambda: told, keeps=False)
         ended = conclude(asked, slam)
         say(ended.table)
         if ended.problems:

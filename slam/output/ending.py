@@ -33,7 +33,6 @@ class Run:
         poses: the poses from elsewhere, None without.
         doubts: asks what is to be said of the recordings; reading them may add something.
         keeps: whether it keeps what it measured, so that it can be decided again.
-        draws: whether it has a report.
     """
 
     claimed: ClaimedFolder
@@ -43,7 +42,6 @@ class Run:
     poses: PoseFile | None
     doubts: Callable[[], tuple[str, ...]]
     keeps: bool = True
-    draws: bool = True
 
 
 @dataclass(frozen=True)
@@ -101,7 +99,6 @@ def conclude(
             run.header.command,
             run.poses,
             measured,
-            run.draws,
         )
     except LoopcloseError as error:
         problems.append(str(error))
@@ -113,7 +110,7 @@ def conclude(
         )
     if result.given and not result.given.fits:
         problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
-    return Ended(summary_table(result, drift, folder, run.draws), (*problems, *result.missing))
+    return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
 
 
 def _measured(run: Run, slam: Slam) -> Measurements | None:

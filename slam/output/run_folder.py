@@ -62,11 +62,10 @@ def write_outputs(
     command: str,
     pose_file: PoseFile | None = None,
     measured: Measurements | None = None,
-    draws: bool = True,
 ) -> None:
     """Write every output as `write_run` does, into a folder that is claimed already.
 
-    What the run measured is written where it is given, and a report if it draws one.
+    What the run measured is written where it is given.
 
     Raises:
         LoopcloseError: files cannot be written; the others are complete and in their place.
@@ -92,8 +91,7 @@ def write_outputs(
     }
     if config.map.write and result.has_images:  # before the memory that the report takes is taken
         writers["map.ply"] = lambda path: _write_map(path, result, config.map)
-    if draws:
-        writers["report.html"] = lambda path: _write_report(path, result, drift, settings, title)
+    writers["report.html"] = lambda path: _write_report(path, result, drift, settings, title)
     salvage = Salvage()
     claimed.unfinished.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
     for name, write in writers.items():  # what cannot be computed again comes first

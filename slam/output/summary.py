@@ -138,9 +138,7 @@ def _errors(drift: DriftReport | None) -> dict[str, object]:
     }
 
 
-def summary_table(
-    result: SlamResult, drift: DriftReport | None, folder: Path, draws: bool = True
-) -> str:
+def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -> str:
     """Return the run in a few lines: what was tracked, which loops were closed, the drift."""
     summary = summarise(result, drift)
     camera, tracked = result.camera, len(result.trajectory)
@@ -167,7 +165,7 @@ def summary_table(
     if result.given and result.given.verdict:
         rows.append(("given", result.given.verdict))
     rows += [("warning", warning) for warning in result.warnings]
-    rows.append(("report", str(folder / "report.html")) if draws else ("outputs", str(folder)))
+    rows.append(("report", str(folder / "report.html")))
     return "\n".join(f"{name:<10} {text}" for name, text in rows)
 
 
