@@ -47,7 +47,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
   run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
-  run_slam replay runs/fr1_desk    decide about loops again: its own --help
+  run_slam replay runs/fr1_desk    decide again: run_slam replay --help
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """

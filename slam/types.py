@@ -209,6 +209,34 @@ class Verification:
         )
 
 
+@dataclass(frozen=True)
+class Influence:
+    """What one loop in use did to the map: the solved pose graph with it and without.
+
+    Attributes:
+        keyframe_ids: (K,) those of the graph.
+        moved_m: (K, 3) float32, by how much each is elsewhere for this loop, world frame.
+        chi_square: by how much the sum of squared errors, in units of the covariances, would fall
+            without it; 6 on average where its noise is what it claims.
+    """
+
+    keyframe_ids: IntArray
+    moved_m: NDArray[np.float32]
+    chi_square: float
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square of how far the keyframes were moved."""
+        return float(np.sqrt((self.moved_m.astype(np.float64) ** 2).sum(axis=1).mean()))
+
+    @property
+    def most(self) -> tuple[int, float]:
+        """The keyframe that was moved most, and how far, metres."""
+        moved_m = np.linalg.norm(self.moved_m.astype(np.float64), axis=1)
+        farthest = int(np.argmax(moved_m))
+        return int(self.keyframe_ids[farthest]), float(moved_m[farthest])
+
+
 MIN_TRUSTED_WEIGHT = 0.5
 """A motion that the pose graph gives no more weight than this is outvoted; most end at 0 or 1."""
 
@@ -227,6 +255,7 @@ class LoopAttempt:
         min_similarity: from which candidates were verified when it was looked at, None where that
             is not on record.
         checks: what each stage measured of it, from the similarity to the pose graph.
+        influence: what it did to the map; None of a loop not in use, or in a large map.
     """
 
     query_id: int
@@ -237,6 +266,7 @@ class LoopAttempt:
     weight: float | None = None
     min_similarity: float | None = None
     checks: tuple[Check, ...] = ()
+    influence: Influence | None = None
 
     @property
     def rejection(self) -> Rejection | None:

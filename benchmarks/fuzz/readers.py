@@ -262,7 +262,9 @@ def _ledger() -> Files:
     record: dict[str, Any] = (
         counts | dict.fromkeys(numbers, 0.5) | {"accepted": True, "weight": 1.0}
     )
-    record |= dict.fromkeys(("reason", "explanation", "measured", "needed", "margin", "truth"))
+    record |= dict.fromkeys(
+        ("reason", "explanation", "measured", "needed", "margin", "truth", "influence")
+    )
     stage = dict.fromkeys(("measured", "needed", "margin"), 0.5)
     record |= {"decided_by": None, "stages": [{"stage": "support", **stage, "passed": True}]}
     record["T_match_query"] = {**motion, "information": [1.0] * 21}

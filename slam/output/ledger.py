@@ -70,6 +70,27 @@ class TruthRecord:
 
 
 @dataclass(frozen=True, config=_STRICT)
+class InfluenceRecord:
+    """What a loop in use did to the map, by the pose graph without it.
+
+    Attributes:
+        moved_rms_mm: root mean square of how far it moved the keyframes.
+        moved_most_mm, moved_most_id: how far it moved the one that it moved most, and which.
+        chi_square: by how much the graph's sum of squared errors would fall without it.
+        verdict: helped or hurt, by ground truth; without that agrees, or contradicts where the fall
+            exceeds the limit of the graph stage.
+        helped_mm: how much larger the ATE of the keyframes would be; None without ground truth.
+    """
+
+    moved_rms_mm: float
+    moved_most_mm: float
+    moved_most_id: int
+    chi_square: float
+    verdict: str
+    helped_mm: float | None
+
+
+@dataclass(frozen=True, config=_STRICT)
 class StageRecord:
     """What one stage measured of a candidate; numbers are None where they are not finite.
 
@@ -108,6 +129,7 @@ class LoopRecord:
         matches, inliers: counts of descriptor matches; None where geometry was not asked.
         T_match_query: the measured motion; None where geometry found none.
         weight: the pose graph's final trust, 0 (ignored) to 1; None where it was not asked.
+        influence: what it did to the map; None of a loop not in use, or in a large map.
         truth: None without ground truth at both keyframes.
     """
 
@@ -130,6 +152,7 @@ class LoopRecord:
     inliers: int | None
     T_match_query: MotionRecord | None
     weight: float | None
+    influence: InfluenceRecord | None
     truth: TruthRecord | None
 
 
@@ -153,7 +176,7 @@ def ledger_line(loop: Decision, min_similarity: float) -> str:
     return json.dumps(asdict(_record(loop, min_similarity)), allow_nan=False)
 
 
-def read_ledger(path: Path) -> tuple[LoopRecord, ...]:
+def read_ledger(path: Path | str) -> tuple[LoopRecord, ...]:
     """Read back the loop decisions of a run, from its loops.jsonl or its folder.
 
     Of a run that was killed the folder has what was decided until then, before the pose graph had
@@ -163,6 +186,7 @@ def read_ledger(path: Path) -> tuple[LoopRecord, ...]:
         SlamError: the file cannot be read, a line is not a loop record, or it is of another version
             of the schema; names the line.
     """
+    path = Path(path)
     if is_folder(path):
         left, name = path / UNFINISHED / "loops.jsonl", "loops.jsonl"
         path = left if is_file(left) and not is_file(path / name) else path / name
@@ -234,7 +258,30 @@ def _record(loop: Decision, min_similarity: float) -> LoopRecord:
         inliers=loop.inliers,
         T_match_query=_motion_record(attempt.motion) if attempt.motion else None,
         weight=_number(attempt.weight) if attempt.weight is not None else None,
+        influence=influence_record(loop),
         truth=truth,
+    )
+
+
+def influence_record(loop: Decision) -> InfluenceRecord | None:
+    """Return what a loop did to the map, None where that is not known."""
+    influence = loop.attempt.influence
+    if influence is None or not math.isfinite(influence.chi_square):
+        return None
+    limits = [c.needed for c in loop.attempt.checks if c.reason is RejectionReason.OUTVOTED]
+    is_known = math.isfinite(loop.helped_m)
+    is_good = (
+        loop.helped_m >= 0.0 if is_known else influence.chi_square <= min(limits, default=math.inf)
+    )
+    names = ("helped", "hurt") if is_known else ("agrees", "contradicts")
+    most_id, most_m = influence.most
+    return InfluenceRecord(
+        moved_rms_mm=_digits(1000.0 * influence.rms_m),
+        moved_most_mm=_digits(1000.0 * most_m),
+        moved_most_id=most_id,
+        chi_square=_digits(influence.chi_square),
+        verdict=names[0] if is_good else names[1],
+        helped_mm=_number(1000.0 * loop.helped_m),
     )
 
 
