@@ -80,8 +80,14 @@ def conclude(
     give_back()  # to finish takes the most at once
     result = slam.finish()
     give_back()
-    measured = _measured(run, slam) if run.keeps and not unwritten else None
     drift, doubts = _judge(result, run, problems)
+    measured = None
+    if run.keeps and not unwritten:
+        try:
+            measured = _measured(run, slam)
+        except Exception as error:  # the run is worth more than that it can be decided again
+            why = cause_of(error)
+            doubts = (*doubts, f"run_slam replay cannot decide about this run again: {why}")
     if unwritten:
         doubts = (f"the work could not be kept on disk on the way: {cause_of(unwritten)}", *doubts)
     if stopped is not None:
@@ -113,12 +119,18 @@ def conclude(
     return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
 
 
-def _measured(run: Run, slam: Slam) -> Measurements | None:
-    """Return what a run measured; None where keyframes were tracked that it did not get to."""
+def _measured(run: Run, slam: Slam) -> Measurements:
+    """Return what a run measured.
+
+    Raises:
+        SlamError: it is not all there.
+    """
     journal = read_journal(run.claimed.unfinished)
     keyframes = sum(bool(each and each.new_keyframe) for _, each in journal.frames)
     if keyframes != len(T_odom_kf := slam.T_odom_kf):
-        return None
+        raise SlamError(
+            f"of {keyframes} keyframes that were tracked {len(T_odom_kf)} were taken in"
+        )
     journal.T_odom_kf.update(T_odom_kf)
     return Measurements(journal, slam.remembered, run.truth)
 

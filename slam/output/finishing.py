@@ -34,8 +34,8 @@ from slam.types import (
 )
 
 NOT_ADJUSTED = (
-    "this was made of what a run that was killed had left: the pose graph is solved, but the map is"
-    " not adjusted to it, and there are no pictures and no point cloud"
+    "this was made of what a run had left, without images and features: the pose graph is solved,"
+    " but the map is not adjusted to it, and there are no pictures and no point cloud"
 )
 
 

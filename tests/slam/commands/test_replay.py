@@ -51,7 +51,9 @@ def refusal(capsys, *typed):
 
 def test_with_nothing_changed_every_byte_is_the_same(whole):
     again = replay(whole)
-    assert any(each.accepted for each in read_ledger(whole))
+    accepted = [each for each in read_ledger(whole) if each.accepted]
+    assert accepted and all(each.influence and each.margin is not None for each in accepted)
+    assert {each.stages[-1].stage for each in accepted} == {"graph"}
     for name in DECIDED:
         assert (again / name).read_bytes() == (whole / name).read_bytes(), name
     assert (again / "report.html").exists()
