@@ -4,6 +4,7 @@
 What a killed one left is finished so, and what a whole one decided is decided again.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -63,8 +64,6 @@ class ReplayedSlam(Slam):
 
     def process_next(self) -> None:
         """Take the next frame of the journal."""
-        if self._number in self._journal.session_starts:
-            self.start_session()
         timestamp_s, _ = self._journal.frames[self._number]
         self.process(Frame(timestamp_s, self._rgb, self._depth_m))
 
@@ -108,9 +107,13 @@ def replayed(
     """Return a run with all frames of a journal processed, with poses from elsewhere if any."""
     slam = ReplayedSlam(journal, config, remembered)
     feed = PoseFeed(slam, poses.trajectory if poses else None)
-    for timestamp_s, _ in journal.frames:
+    for number, (timestamp_s, _) in enumerate(journal.frames):
+        if number in journal.session_starts:  # before its poses
+            slam.start_session()
         feed.until(timestamp_s)
         slam.process_next()
+    if journal.T_odom_kf:  # the run came to its end
+        feed.until(math.inf)
     return slam
 
 

@@ -67,6 +67,14 @@ def test_other_thresholds_decide_what_a_run_with_them_does(whole, recording, tmp
         assert (again / name).read_bytes() == (fresh / name).read_bytes(), name
 
 
+def test_poses_from_elsewhere_are_judged_again(whole, recording, tmp_path):
+    given = ("--odometry", str(whole / "odometry.txt"))
+    fresh = run(recording, tmp_path / "run", *given)
+    again = replay(fresh)
+    for name in (*DECIDED, "corrected_odometry.txt", "map_odom.txt"):
+        assert (again / name).read_bytes() == (fresh / name).read_bytes(), name
+
+
 def test_without_features_loops_stay_as_found_and_the_graph_is_weighed_again(
     without_features, capsys
 ):
