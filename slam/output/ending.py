@@ -84,7 +84,7 @@ def conclude(
     measured = None
     if run.keeps and not unwritten:
         try:
-            measured = _measured(run, slam)
+            measured = _measured(run, slam, is_whole=stopped is None)
         except Exception as error:  # the run is worth more than that it can be decided again
             why = cause_of(error)
             doubts = (*doubts, f"run_slam replay cannot decide about this run again: {why}")
@@ -119,7 +119,7 @@ def conclude(
     return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
 
 
-def _measured(run: Run, slam: Slam) -> Measurements:
+def _measured(run: Run, slam: Slam, is_whole: bool) -> Measurements:
     """Return what a run measured.
 
     Raises:
@@ -132,7 +132,7 @@ def _measured(run: Run, slam: Slam) -> Measurements:
             f"of {keyframes} keyframes that were tracked {len(T_odom_kf)} were taken in"
         )
     journal.T_odom_kf.update(T_odom_kf)
-    return Measurements(journal, slam.remembered, run.truth)
+    return Measurements(replace(journal, is_whole=is_whole), slam.remembered, run.truth)
 
 
 def _judge(

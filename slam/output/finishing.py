@@ -112,7 +112,7 @@ def replayed(
             slam.start_session()
         feed.until(timestamp_s)
         slam.process_next()
-    if journal.T_odom_kf:  # the run came to its end
+    if journal.is_whole:
         feed.until(math.inf)
     return slam
 

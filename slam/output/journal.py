@@ -67,6 +67,7 @@ class Journal:
             features nor images.
         session_starts: positions in `frames` at which a session begins.
         T_odom_kf: (4, 4) by id, where the odometry had keyframes in the end; none of a killed run.
+        is_whole: whether the run came to the end of its recordings.
         attempts: loop candidates by the id of the later keyframe, in the order they were looked at;
             without the pixels of their matches, and with the points of accepted loops alone.
     """
@@ -76,6 +77,7 @@ class Journal:
     session_starts: set[int] = field(default_factory=set)
     attempts: dict[int, list[LoopAttempt]] = field(default_factory=dict)
     T_odom_kf: dict[int, FloatArray] = field(default_factory=dict)
+    is_whole: bool = False
 
 
 class JournalWriter:

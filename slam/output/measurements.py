@@ -67,6 +67,7 @@ def write_measurements(path: Path, measured: Measurements) -> None:
     """
     journal, remembered = measured.journal, measured.remembered
     about: dict[str, Any] = {"version": VERSION, **asdict(journal.header)}
+    about["is_whole"] = journal.is_whole
     arrays = {**_of_frames(journal), **_of_keyframes(journal)}
     if measured.truth is not None:
         arrays["truth_timestamp_s"] = measured.truth.timestamps_s
@@ -113,6 +114,7 @@ def read_measurements(path: Path, config: Config) -> Measurements:
 def _measurements(arrays: Arrays, about: dict[str, Any], config: Config) -> Measurements:
     own = about.pop("recognizer_min_similarity", None)
     certificate = about.pop("certificate", None)
+    is_whole = bool(about.pop("is_whole"))
     header = header_of(about)
     T_odom_kf = _whole(arrays["keyframe_T_odom_end"])
     features: list[Features | None] = [None] * len(T_odom_kf)
@@ -137,7 +139,7 @@ def _measurements(arrays: Arrays, about: dict[str, Any], config: Config) -> Meas
     truth = None
     if "truth_timestamp_s" in arrays:
         truth = Trajectory(arrays["truth_timestamp_s"], _whole(arrays["truth_T_world_cam"]))
-    return Measurements(journal, remembered, truth)
+    return Measurements(replace(journal, is_whole=is_whole), remembered, truth)
 
 
 def _of_frames(journal: Journal) -> dict[str, NDArray[Any]]:
