@@ -97,6 +97,7 @@ def is_whole(path: Path) -> bool:
             read_tum(path)
         elif path.suffix == ".jsonl":
             read_ledger(path)
+            return path.read_bytes()[-1:] in (b"", b"\n")
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".html":

@@ -263,7 +263,10 @@ def arrays_of(content: bytes) -> dict[str, NDArray[Any]]:
     Raises:
         ValueError: it is none, or unpacks to far more than itself.
     """
-    check_zip(content)
+    try:
+        check_zip(content)
+    except zipfile.BadZipFile as error:
+        raise ValueError("not an archive of arrays") from error
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return {

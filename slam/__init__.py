@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
     from slam.loops.correction import Correction as Correction
+    from slam.output.ledger import LoopRecord as LoopRecord
+    from slam.output.ledger import read_ledger as read_ledger
     from slam.output.run_folder import write_run as write_run
     from slam.pose_graph.from_g2o import solve_g2o as solve_g2o
     from slam.result import SlamResult as SlamResult
@@ -38,6 +40,7 @@ _HOME = {
     "Frame": "slam.types",
     "Keyframe": "slam.types",
     "LoopAttempt": "slam.types",
+    "LoopRecord": "slam.output.ledger",
     "LoopcloseError": "placerec.errors",
     "Rejection": "slam.types",
     "Slam": "slam.system",
@@ -47,6 +50,7 @@ _HOME = {
     "Trajectory": "slam.types",
     "compare_drift": "slam.evaluation.drift",
     "open_sequence": "slam.datasets",
+    "read_ledger": "slam.output.ledger",
     "read_tum": "slam.evaluation.trajectory",
     "solve_g2o": "slam.pose_graph.from_g2o",
     "write_run": "slam.output.run_folder",

@@ -16,7 +16,6 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import tyro
 
 from placerec.commands import usage
@@ -48,6 +47,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
   run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
+  run_slam replay runs/fr1_desk    decide again: run_slam replay --help
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -203,12 +203,10 @@ def _run(arguments: Arguments) -> None:
 
 def _finish(arguments: Arguments) -> None:
     """Make the outputs of what a run that was killed had done."""
-    from slam.datasets.pose_files import read_odometry
     from slam.evaluation.trajectory import read_tum
-    from slam.external_odometry.pose_feed import PoseFeed
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.finishing import ReplayedSlam
+    from slam.output.finishing import poses_again, replayed
     from slam.output.journal import read_journal
 
     with ClaimedFolder(Path(arguments.sequence)) as claimed:
@@ -220,17 +218,10 @@ def _finish(arguments: Arguments) -> None:
         settings = load_config(claimed.unfinished / "settings.toml")
         truth_file = claimed.unfinished / "groundtruth.txt"
         truth = read_tum(truth_file) if truth_file.exists() else None
-        poses = None
-        if header.odometry is not None:
-            stamps_s = np.array([timestamp_s for timestamp_s, _ in journal.frames])
-            poses = read_odometry(Path(header.odometry), stamps_s, settings.input)
+        poses = poses_again(journal, settings)
         run = Run(claimed, header, settings, truth, poses, lambda: header.warnings)
-        slam = ReplayedSlam(journal, settings)
-        feed = PoseFeed(slam, poses.trajectory if poses else None)
         with _kept(claimed.path), deferred_interrupts():
-            for timestamp_s, _ in journal.frames:
-                feed.until(timestamp_s)
-                slam.process_next()
+            slam = replayed(journal, settings, poses)
             if not slam.has_keyframes:
                 claimed.discard()
                 raise SlamError("the run was killed before it had tracked anything; start it again")

@@ -21,7 +21,9 @@ from slam.loops.atlas import odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
+from slam.loops.remembered import Remembered
 from slam.loops.stage_clock import StageClock
+from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult, compared
 from slam.tracking.frame_log import FrameLog, LoggedFrames, check_frame
@@ -361,7 +363,21 @@ class Slam:
 
     def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
         """Return where tracking has keyframes in the end, (4, 4) by id."""
-        return {k.id: self._odometry.map.keyframes[k.id].T_map_cam for k in keyframes}
+        return {k.id: self._map.keyframes[k.id].T_map_cam for k in keyframes}
+
+    @property
+    def T_odom_kf(self) -> dict[int, FloatArray]:
+        """Where tracking, which knows of no loop, put keyframes in the end: (4, 4) by id."""
+        return self._tracked(self._back_end.keyframes)
+
+    @property
+    def _map(self) -> LandmarkMap:
+        return self._odometry.map
+
+    @property
+    def remembered(self) -> Remembered | None:
+        """What deciding about loops again takes, once the run is finished; None of too many."""
+        return self._back_end.loop_closer.remembered(self._map)
 
     def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
         """Return the (K, 4, 4) poses by the adjusted map, with loops and without, and warnings.
@@ -371,7 +387,7 @@ class Slam:
         if warnings := size_warning(len(loops.T_world_kf)):
             return loops.T_world_kf, loops.T_world_kf_without, warnings
         with self.clock.stage("adjust"):
-            return *adjusted(self._odometry.map, loops), ()
+            return *adjusted(self._map, loops), ()
 
     def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
         closer = self._back_end.loop_closer

@@ -86,6 +86,13 @@ class Features:
     depth_m: NDArray[np.float32]
     points_m: NDArray[np.float32]
 
+    @staticmethod
+    def none() -> "Features":
+        """Return those of a frame that has none."""
+        pixels, numbers = np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
+        descriptors, points_m = np.zeros((0, 32), np.uint8), np.zeros((0, 3), np.float32)
+        return Features(pixels, pixels, np.zeros(0, np.uint8), descriptors, numbers, points_m)
+
 
 @dataclass(frozen=True)
 class Keyframe:
@@ -136,6 +143,32 @@ class Rejection:
 
 
 @dataclass(frozen=True)
+class Check:
+    """What a stage measured of a loop candidate, whatever it decided.
+
+    Attributes:
+        reason: what the candidate is rejected for where it does not pass.
+        measured, needed: the number that decides, and what it has to be.
+        passed: whether the stage said yes.
+    """
+
+    reason: RejectionReason
+    measured: float
+    needed: float
+    passed: bool
+
+    @staticmethod
+    def at_least(reason: RejectionReason, measured: float, needed: float) -> "Check":
+        """Return the check of a number that must not be smaller than what is needed."""
+        return Check(reason, measured, needed, bool(measured >= needed))
+
+    @property
+    def rejection(self) -> Rejection | None:
+        """Why the stage said no, None where it said yes."""
+        return None if self.passed else Rejection(self.reason, self.measured, self.needed)
+
+
+@dataclass(frozen=True)
 class RelativePose:
     """A rigid motion between two views, as measured.
 
@@ -159,12 +192,14 @@ class Verification:
             the points, (0, 4) of most loops in a large map.
         inlier_mask: (M,) bool, the matches that agree with the motion.
         points_ref_m: (M, 3) float32, what the matches show, metres, reference camera frame.
+        checks: what was measured on the way, in order; of what came before an end, all.
     """
 
     outcome: RelativePose | Rejection
     pixels: NDArray[np.float32]
     inlier_mask: NDArray[np.bool_]
     points_ref_m: NDArray[np.float32]
+    checks: tuple[Check, ...] = ()
 
     @property
     def without_evidence(self) -> "Verification":
@@ -172,6 +207,34 @@ class Verification:
         return replace(
             self, pixels=self.pixels[:0].copy(), points_ref_m=self.points_ref_m[:0].copy()
         )
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What one loop in use did to the map: the solved pose graph with it and without.
+
+    Attributes:
+        keyframe_ids: (K,) those of the graph.
+        moved_m: (K, 3) float32, by how much each is elsewhere for this loop, world frame.
+        chi_square: by how much the sum of squared errors, in units of the covariances, would fall
+            without it; 6 on average where its noise is what it claims.
+    """
+
+    keyframe_ids: IntArray
+    moved_m: NDArray[np.float32]
+    chi_square: float
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square of how far the keyframes were moved."""
+        return float(np.sqrt((self.moved_m.astype(np.float64) ** 2).sum(axis=1).mean()))
+
+    @property
+    def most(self) -> tuple[int, float]:
+        """The keyframe that was moved most, and how far, metres."""
+        moved_m = np.linalg.norm(self.moved_m.astype(np.float64), axis=1)
+        farthest = int(np.argmax(moved_m))
+        return int(self.keyframe_ids[farthest]), float(moved_m[farthest])
 
 
 MIN_TRUSTED_WEIGHT = 0.5
@@ -191,6 +254,8 @@ class LoopAttempt:
             before the graph was solved and for candidates that it was not given.
         min_similarity: from which candidates were verified when it was looked at, None where that
             is not on record.
+        checks: what each stage measured of it, from the similarity to the pose graph.
+        influence: what it did to the map; None of a loop not in use, or in a large map.
     """
 
     query_id: int
@@ -200,6 +265,8 @@ class LoopAttempt:
     outcome: RelativePose | Rejection
     weight: float | None = None
     min_similarity: float | None = None
+    checks: tuple[Check, ...] = ()
+    influence: Influence | None = None
 
     @property
     def rejection(self) -> Rejection | None:

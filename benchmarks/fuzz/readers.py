@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -34,8 +35,17 @@ from slam.datasets.images import read_color, read_depth
 from slam.datasets.images.exr import read_exr
 from slam.datasets.pose_files import read_odometry, read_trajectory
 from slam.output.comparison.runs import read_runs
+from slam.output.journal import Header, Journal
 from slam.output.ledger import read_ledger
+from slam.output.measurements import (
+    MEASUREMENTS,
+    Measurements,
+    read_measurements,
+    write_measurements,
+)
 from slam.pose_graph import read_g2o
+from slam.tracking.tracked_frame import TrackedFrame
+from slam.types import Camera
 
 Files = dict[str, bytes]
 WIDTH, HEIGHT, FRAMES = 16, 12, 6
@@ -235,14 +245,28 @@ def _graph() -> Files:
     return {"graph.g2o": "\n".join(lines).encode()}
 
 
+def _measurements() -> Files:
+    camera = Camera(WIDTH, HEIGHT, 15.0, 15.0, 8.0, 6.0)
+    journal = Journal(Header("room", "run_slam room", camera, 0.5, None, ()))
+    journal.frames.extend((float(k), TrackedFrame(0, _EYE, _EYE)) for k in range(FRAMES))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / MEASUREMENTS
+        write_measurements(path, Measurements(journal, None, None))
+        return {MEASUREMENTS: path.read_bytes()}
+
+
 def _ledger() -> Files:
     motion = {"translation_m": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    counts = {"query_id": 9, "match_id": 1, "matches": 50, "inliers": 40}
+    counts = {"version": 1, "query_id": 9, "match_id": 1, "matches": 50, "inliers": 40}
     numbers = ("query_timestamp_s", "match_timestamp_s", "similarity", "min_similarity")
     record: dict[str, Any] = (
         counts | dict.fromkeys(numbers, 0.5) | {"accepted": True, "weight": 1.0}
     )
-    record |= dict.fromkeys(("reason", "explanation", "measured", "needed", "margin", "truth"))
+    record |= dict.fromkeys(
+        ("reason", "explanation", "measured", "needed", "margin", "truth", "influence")
+    )
+    stage = dict.fromkeys(("measured", "needed", "margin"), 0.5)
+    record |= {"decided_by": None, "stages": [{"stage": "support", **stage, "passed": True}]}
     record["T_match_query"] = {**motion, "information": [1.0] * 21}
     return {"loops.jsonl": (json.dumps(record) + "\n").encode() * 2}
 
@@ -407,6 +431,13 @@ _TEXTS = [
     *(
         _of_file(f"compared/{kind}", "poses.txt", partial(_pose_text, kind), read_trajectory, True)
         for kind in ("tum", "kitti", "euroc")
+    ),
+    Reader(
+        "measurements",
+        MEASUREMENTS,
+        _measurements,
+        lambda folder: read_measurements(folder / MEASUREMENTS, Config()),
+        False,
     ),
     Reader("ledger", "loops.jsonl", _ledger, lambda folder: read_ledger(folder / "loops.jsonl")),
     _of_file(

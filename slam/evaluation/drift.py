@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far a run is from the truth: ATE and RPE of its trajectories, NEES of its motions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from placerec.datasets.tum_lists import nearest
 from slam.config import EvaluationConfig
 from slam.evaluation.camera_truth import camera_truth
 from slam.evaluation.coverage import coverage, sessions
+from slam.evaluation.leave_one_out import helped_m
 from slam.evaluation.motion_truth import LoopTruth, judge_links, judge_loops
 from slam.evaluation.pose_errors import pairs_in_time, relative_errors, root_mean_square
 from slam.evaluation.trajectory import align, associate, path_length_m
@@ -51,6 +52,8 @@ class DriftReport:
             them smoothed; live is None where too few of its frames match.
         smoothed: error of the corrected trajectory as smoothed, None where it was not.
         loops: one entry per loop attempt, in the same order.
+        helped_m: (A,) per loop attempt, how much larger the ATE of the keyframes would be without
+            it, NaN of one not in use.
         links_nees: (L,) `nees` of the result's links, in the same order, NaN where unknown.
         tolerance_s: association tolerance between estimated and true poses.
         coverage: share of the sequence's time span that ground truth covers.
@@ -76,6 +79,7 @@ class DriftReport:
     truth: Trajectory
     doubts: tuple[str, ...] = ()
     unjudged: str = ""
+    helped_m: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def median_links_nees(self) -> float:
@@ -161,6 +165,7 @@ def compare_drift(result: SlamResult, truth: Trajectory, config: EvaluationConfi
         truth=truth,
         doubts=(*found.doubts, *_doubts_about_scale(found.scale, result.camera.depth_scale)),
         unjudged=found.unjudged,
+        helped_m=helped_m(result, truth, config.max_time_difference_s),
     )
     return _without_relative(drift) if found.unjudged else drift
 

@@ -10,6 +10,7 @@ from slam.geometry.pnp import pose_by_ransac
 from slam.geometry.refinement import Correspondences, refine, residual_lengths
 from slam.types import (
     Camera,
+    Check,
     Features,
     Rejection,
     RejectionReason,
@@ -37,9 +38,9 @@ def estimate_relative_pose(
     # what other views tell of the reference's points is needed where its depth does not reach.
     is_enough = np.count_nonzero(has_depth) >= _ENOUGH_DEPTH * np.count_nonzero(is_placed)
     pairs = pairs[has_depth if is_enough else is_placed]
-    outcome, inlier_mask = _outcome(reference, query, pairs, camera, config)
+    outcome, inlier_mask, checks = _outcome(reference, query, pairs, camera, config)
     pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
-    return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]])
+    return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]], checks)
 
 
 def _outcome(
@@ -48,18 +49,20 @@ def _outcome(
     pairs: NDArray[np.int64],
     camera: Camera,
     config: VerificationConfig,
-) -> tuple[RelativePose | Rejection, NDArray[np.bool_]]:
-    """Return the motion or why there is none, and the (M,) mask of the pairs that agree."""
+) -> tuple[RelativePose | Rejection, NDArray[np.bool_], tuple[Check, ...]]:
+    """Return the motion or why there is none, the (M,) mask of the pairs that agree, the checks."""
     nobody = np.zeros(len(pairs), dtype=bool)
     needed = max(config.min_matches, _MIN_FOR_POSE)
-    if len(pairs) < needed:
-        return Rejection(RejectionReason.FEW_MATCHES, len(pairs), needed), nobody
+    enough = Check.at_least(RejectionReason.FEW_MATCHES, len(pairs), needed)
+    if enough.rejection:
+        return enough.rejection, nobody, (enough,)
     points_m, pixels = reference.points_m[pairs[:, 0]], query.undistorted_px[pairs[:, 1]]
     found = pose_by_ransac(
         points_m, pixels, camera, config.max_reprojection_px, config.ransac_iterations
     )
     if found is None:
-        return Rejection(RejectionReason.NO_POSE, 0, config.min_inliers), nobody
+        nothing = Check(RejectionReason.NO_POSE, 0, config.min_inliers, passed=False)
+        return Rejection(nothing.reason, 0, nothing.needed), nobody, (enough, nothing)
     T_ref_query, inlier_mask = found
     correspondences = Correspondences.of(reference, query, pairs, camera)
     if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
@@ -67,28 +70,28 @@ def _outcome(
         T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
         lengths = residual_lengths(T_ref_query, correspondences, camera)
         inlier_mask = lengths < config.max_reprojection_px
-    rejection = _rejection(reference.pixels[pairs[:, 0]], inlier_mask, camera, config)
-    if rejection:
-        return rejection, inlier_mask
+    checks = (enough, *_checks(reference.pixels[pairs[:, 0]], inlier_mask, camera, config))
+    if rejection := next((each.rejection for each in checks if each.rejection), None):
+        return rejection, inlier_mask, checks
     refined = refine(T_ref_query, correspondences.select(inlier_mask), camera)
-    return RelativePose(*refined), inlier_mask
+    return RelativePose(*refined), inlier_mask, checks
 
 
-def _rejection(
+def _checks(
     pixels: NDArray[np.float32],
     inlier_mask: NDArray[np.bool_],
     camera: Camera,
     config: VerificationConfig,
-) -> Rejection | None:
+) -> tuple[Check, ...]:
     inliers = int(np.count_nonzero(inlier_mask))
-    needed = max(config.min_inliers, _MIN_FOR_POSE)
-    if inliers < needed:
-        return Rejection(RejectionReason.FEW_INLIERS, inliers, needed)
-    ratio = inliers / len(pixels)
-    if ratio < config.min_inlier_ratio:
-        return Rejection(RejectionReason.LOW_INLIER_RATIO, ratio, config.min_inlier_ratio)
-    extent = np.ptp(pixels[inlier_mask], axis=0)
+    extent = np.ptp(pixels[inlier_mask], axis=0) if inliers else np.zeros(2)
     support = float(extent[0] * extent[1]) / (camera.width * camera.height)
-    if support < config.min_support:
-        return Rejection(RejectionReason.NARROW_SUPPORT, support, config.min_support)
-    return None
+    return (
+        Check.at_least(
+            RejectionReason.FEW_INLIERS, inliers, max(config.min_inliers, _MIN_FOR_POSE)
+        ),
+        Check.at_least(
+            RejectionReason.LOW_INLIER_RATIO, inliers / len(pixels), config.min_inlier_ratio
+        ),
+        Check.at_least(RejectionReason.NARROW_SUPPORT, support, config.min_support),
+    )

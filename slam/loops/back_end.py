@@ -24,7 +24,7 @@ from slam.loops.evidence import Evidence
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
 from slam.loops.stage_clock import StageClock
-from slam.pose_graph import GraphSolution, PoseGraph, solve_beside
+from slam.pose_graph import GraphSolution, PoseGraph, leave_one_out, solve_beside
 from slam.types import (
     Camera,
     FloatArray,
@@ -188,8 +188,11 @@ class BackEnd:
             largest, solution = borne_out(*self._largest(frames), self._solve)
             graph = largest.graph
             without = self._solve(replace(graph, loops={}))
+            influences = leave_one_out(graph, solution.T_world_kf, solution.weights)
         attempts = tuple(
-            in_the_end(attempt, solution.weights.get(key), largest.unjoined.get(key))
+            replace(
+                in_the_end(attempt, key, solution, largest.unjoined), influence=influences.get(key)
+            )
             for key, attempt in enumerate(self.attempts)
         )
         T_world_kf = np.full((len(self.keyframes), 4, 4), np.nan)

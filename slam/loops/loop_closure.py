@@ -17,10 +17,13 @@ from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
 from slam.loops.known_distances import KnownDistances
 from slam.loops.novelty import Novelty
+from slam.loops.remembered import Remembered
 from slam.loops.second_look import SecondLook
+from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
     Camera,
+    Check,
     IntArray,
     Keyframe,
     LoopAttempt,
@@ -30,6 +33,8 @@ from slam.types import (
     Verification,
 )
 
+MOST_REMEMBERED = 500
+"""Keyframes of a run of which it is kept what deciding again takes, some 70 kB each."""
 _MOST_MET = 400
 """Of many more places every n-th shows as well how alike different ones are."""
 
@@ -62,6 +67,7 @@ class LoopCloser:
         is_free = self._recognizer.comparer is COSINES
         self._novelty = Novelty(camera) if is_free else None
         self._shown: dict[int, NDArray[np.float32]] = {}  # embeddings of the `compared` keyframes
+        self._embeddings: list[NDArray[np.float32]] = []  # of all keyframes, while they are few
         self._second_look = SecondLook(camera, self._recognizer, loop_config.candidates)
         chosen = loop_config.min_similarity
         own = self._recognizer.min_similarity
@@ -104,6 +110,8 @@ class LoopCloser:
         self._adapt(keyframe, embedding, is_candidate)
         self._keyframes.append(keyframe)
         self._segments.append(keyframe.segment)
+        if len(self._embeddings) < MOST_REMEMBERED:
+            self._embeddings.append(embedding)
         self._linked_ids.append(tuple(linked_ids))
         self._remember(keyframe, embedding, attempts)
         return attempts
@@ -147,6 +155,19 @@ class LoopCloser:
         is_other = np.ones(len(segments), bool) if but_segment is None else segments != but_segment
         ids, similarities = self._index.query(embedding, self._loop_config.candidates, is_other)
         return [int(k) for k in places[ids[similarities >= self.min_similarity]]]
+
+    def remembered(self, the_map: LandmarkMap) -> Remembered | None:
+        """Return what looking for loops again takes, with the map of all keyframes.
+
+        There is none of more than `MOST_REMEMBERED` keyframes, nor where the recognizer would have
+        to be asked again: it compares by itself, or has a second look of its own.
+        """
+        count = len(self._keyframes)
+        is_free = self._recognizer.comparer is COSINES and not self._recognizer.can_rerank
+        if not is_free or not 0 < count == len(self._embeddings) == len(the_map.keyframes):
+            return None
+        own = self._recognizer.min_similarity
+        return Remembered(own, self._certificate, np.stack(self._embeddings), the_map)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""
@@ -204,37 +225,48 @@ class LoopCloser:
     def _look_again(
         self, query: Keyframe, matches: Sequence[Keyframe], similarities: NDArray[np.float32]
     ) -> tuple[LoopAttempt, ...]:
-        looked_at: list[tuple[int, Rejection | None]] = [(k, None) for k in range(len(matches))]
+        looked_at: list[tuple[int, Check | None]] = [(k, None) for k in range(len(matches))]
         # All of them are similar enough, or one is looked at that is not.
         if self._loop_config.second_look and (similarities >= self.min_similarity).any():
-            looked_at = self._second_look.choose(query, matches)
+            looked_at = list(self._second_look.choose(query, matches))
         return tuple(
-            self._attempt(query, matches[k], float(similarities[k]), refusal)
-            for k, refusal in looked_at
+            self._attempt(query, matches[k], float(similarities[k]), second)
+            for k, second in looked_at
         )
 
     def _attempt(
-        self, query: Keyframe, match: Keyframe, similarity: float, refusal: Rejection | None
+        self, query: Keyframe, match: Keyframe, similarity: float, second: Check | None
     ) -> LoopAttempt:
-        needed = self.min_similarity
-        if similarity < needed:
-            refusal = Rejection(RejectionReason.LOW_SIMILARITY, similarity, needed)
-        verification, outcome = (None, refusal) if refusal else self._verified(query, match)
+        needed, verification = self.min_similarity, None
+        first = Check.at_least(RejectionReason.LOW_SIMILARITY, similarity, needed)
+        checks = (first, second) if second else (first,)
+        outcome: RelativePose | Rejection | None
+        outcome = next((each.rejection for each in checks if each.rejection), None)
+        if outcome is None:
+            verification, outcome, seen = self._verified(query, match)
+            checks = (*checks, *seen)
         return LoopAttempt(
-            query.id, match.id, similarity, verification, outcome, min_similarity=needed
+            query.id,
+            match.id,
+            similarity,
+            verification,
+            outcome,
+            min_similarity=needed,
+            checks=checks,
         )
 
     def _verified(
         self, query: Keyframe, match: Keyframe
-    ) -> tuple[Verification, RelativePose | Rejection]:
+    ) -> tuple[Verification, RelativePose | Rejection, tuple[Check, ...]]:
         config = self._verification_config
         verification = estimate_relative_pose(match.features, query.features, self._camera, config)
-        outcome = verification.outcome
+        outcome, checks = verification.outcome, verification.checks
         if isinstance(outcome, RelativePose):
             depth_m = typical_depth_m(match.features, query.features)
             turning = (match.turning_rad_s, query.turning_rad_s)
             outcome = loop_noise(outcome, self._camera, depth_m, *turning)
             share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
-            if share > most:
-                outcome = Rejection(RejectionReason.UNCERTAIN_MOTION, share, most)
-        return verification, outcome
+            certain = Check(RejectionReason.UNCERTAIN_MOTION, share, most, bool(share <= most))
+            checks += (certain,)
+            outcome = certain.rejection or outcome
+        return verification, outcome, checks

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from placerec.checked_recognizer import CheckedRecognizer
 from slam.config import PYRAMID_SCALE
 from slam.geometry.features import match_descriptors
-from slam.types import Camera, Features, FloatArray, Keyframe, Rejection, RejectionReason
+from slam.types import Camera, Check, Features, FloatArray, Keyframe, RejectionReason
 
 NEEDED = 18
 """So many features must lie as in one rigid scene. Of all pairs of keyframes that verification
@@ -38,10 +38,8 @@ class SecondLook:
         self._recognizer = recognizer
         self._most = most
 
-    def choose(
-        self, query: Keyframe, candidates: Sequence[Keyframe]
-    ) -> list[tuple[int, Rejection | None]]:
-        """Return each candidate's number, the most promising first, and why it is left out.
+    def choose(self, query: Keyframe, candidates: Sequence[Keyframe]) -> list[tuple[int, Check]]:
+        """Return each candidate's number, the most promising first, and whether it is chosen.
 
         Raises:
             RecognizerError: its rerank failed.
@@ -59,12 +57,8 @@ class SecondLook:
         chosen = [k for k in order if scores[k] >= needed][: self._most]
         if len(chosen) == self._most:  # whoever is not among them needed as much as their last
             needed = float(scores[chosen[-1]])
-        return [
-            (k, Rejection(RejectionReason.SECOND_LOOK, float(scores[k]), needed))
-            if k not in chosen
-            else (k, None)
-            for k in order
-        ]
+        reason = RejectionReason.SECOND_LOOK
+        return [(k, Check(reason, float(scores[k]), needed, k in chosen)) for k in order]
 
 
 def rerank(query: Features, candidates: Sequence[Features], camera: Camera) -> NDArray[np.int64]:

@@ -24,6 +24,7 @@ OUTPUTS = (
     "corrected_odometry.csv",
     "map_odom.txt",
     "groundtruth.txt",
+    "measurements.npz",
     "loops.jsonl",
     "pose_graph.g2o",
     "settings.toml",

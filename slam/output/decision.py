@@ -41,12 +41,14 @@ class Decision:
         attempt: the candidate and its outcome.
         query, match: the later and the earlier keyframe.
         truth: ground truth's word, or None without ground truth.
+        helped_m: how much larger the ATE would be without it, NaN where nobody knows.
     """
 
     attempt: LoopAttempt
     query: Keyframe
     match: Keyframe
     truth: LoopTruth | None
+    helped_m: float = math.nan
 
     @property
     def kind(self) -> str:
@@ -118,7 +120,9 @@ def decisions(result: SlamResult, drift: DriftReport | None) -> list[Decision]:
     """Return every loop attempt of a run, in the order it was looked at."""
     keyframes = {keyframe.id: keyframe for keyframe in result.keyframes}
     truths = drift.loops if drift is not None else (None,) * len(result.attempts)
+    helped_m = drift.helped_m.tolist() if drift is not None else []
+    helped_m = helped_m or [math.nan] * len(truths)
     return [
-        Decision(attempt, keyframes[attempt.query_id], keyframes[attempt.match_id], truth)
-        for attempt, truth in zip(result.attempts, truths, strict=True)
+        Decision(attempt, keyframes[attempt.query_id], keyframes[attempt.match_id], truth, helped)
+        for attempt, truth, helped in zip(result.attempts, truths, helped_m, strict=True)
     ]

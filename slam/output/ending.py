@@ -10,7 +10,8 @@ from slam.datasets.pose_files import PoseFile
 from slam.evaluation.drift import DriftReport, compare_drift
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
-from slam.output.journal import Header
+from slam.output.journal import Header, read_journal
+from slam.output.measurements import Measurements
 from slam.output.run_folder import write_outputs
 from slam.output.summary import summary_table
 from slam.result import SlamResult
@@ -31,6 +32,7 @@ class Run:
         truth: the true camera poses, None without.
         poses: the poses from elsewhere, None without.
         doubts: asks what is to be said of the recordings; reading them may add something.
+        keeps: whether it keeps what it measured, so that it can be decided again.
     """
 
     claimed: ClaimedFolder
@@ -39,6 +41,7 @@ class Run:
     truth: Trajectory | None
     poses: PoseFile | None
     doubts: Callable[[], tuple[str, ...]]
+    keeps: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,13 @@ def conclude(
     result = slam.finish()
     give_back()
     drift, doubts = _judge(result, run, problems)
+    measured = None
+    if run.keeps and not unwritten:
+        try:
+            measured = _measured(run, slam, is_whole=stopped is None)
+        except Exception as error:  # the run is worth more than that it can be decided again
+            why = cause_of(error)
+            doubts = (*doubts, f"run_slam replay cannot decide about this run again: {why}")
     if unwritten:
         doubts = (f"the work could not be kept on disk on the way: {cause_of(unwritten)}", *doubts)
     if stopped is not None:
@@ -94,6 +104,7 @@ def conclude(
             run.header.title,
             run.header.command,
             run.poses,
+            measured,
         )
     except LoopcloseError as error:
         problems.append(str(error))
@@ -106,6 +117,22 @@ def conclude(
     if result.given and not result.given.fits:
         problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
     return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
+
+
+def _measured(run: Run, slam: Slam, is_whole: bool) -> Measurements:
+    """Return what a run measured.
+
+    Raises:
+        SlamError: it is not all there.
+    """
+    journal = read_journal(run.claimed.unfinished)
+    keyframes = sum(bool(each and each.new_keyframe) for _, each in journal.frames)
+    if keyframes != len(T_odom_kf := slam.T_odom_kf):
+        raise SlamError(
+            f"of {keyframes} keyframes that were tracked {len(T_odom_kf)} were taken in"
+        )
+    journal.T_odom_kf.update(T_odom_kf)
+    return Measurements(replace(journal, is_whole=is_whole), slam.remembered, run.truth)
 
 
 def _judge(

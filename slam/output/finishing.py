@@ -1,20 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run once more, from its journal and without its images: what a killed one left is finished."""
+"""A run once more, from what it measured and without its images.
 
+What a killed one left is finished so, and what a whole one decided is decided again.
+"""
+
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
+from slam.datasets.pose_files import PoseFile, read_odometry
+from slam.external_odometry.pose_feed import PoseFeed
 from slam.loops.back_end import ClosedLoops
 from slam.loops.loop_closure import LoopCloser
+from slam.loops.remembered import Remembered
+from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.map_adjustment import size_warning
 from slam.output.journal import Journal
 from slam.result import Calibration, SlamResult, ThresholdFit, compared
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
+    Camera,
     FloatArray,
     Frame,
     Keyframe,
@@ -24,19 +35,27 @@ from slam.types import (
 )
 
 NOT_ADJUSTED = (
-    "this was made of what a run that was killed had left: the pose graph is solved, but the map is"
-    " not adjusted to it, and there are no pictures and no point cloud"
+    "this was made of what a run had left, without images and features: the pose graph is solved,"
+    " but the map is not adjusted to it, and there are no pictures and no point cloud"
 )
 
 
 class ReplayedSlam(Slam):
     """Takes the frames of a journal, in their order, for what they were found to be."""
 
-    def __init__(self, journal: Journal, config: Config) -> None:
+    def __init__(
+        self, journal: Journal, config: Config, remembered: Remembered | None = None
+    ) -> None:
+        """Begin; what is remembered of the keyframes lets their loops be decided again."""
         camera = journal.header.camera
         super().__init__(camera, _Nobody(journal.header.min_similarity), config)
         self._journal = journal
-        self._back_end.loop_closer = _RecordedLoops(journal, config)
+        self._remembered = remembered
+        self._back_end.loop_closer = (
+            _RememberedLoops(camera, remembered, config)
+            if remembered
+            else _RecordedLoops(journal, config)
+        )
         self._T_odom_kf: dict[int, FloatArray] = {}
         self._number = 0
         shape = (camera.height, camera.width)
@@ -45,8 +64,6 @@ class ReplayedSlam(Slam):
 
     def process_next(self) -> None:
         """Take the next frame of the journal."""
-        if self._number in self._journal.session_starts:
-            self.start_session()
         timestamp_s, _ = self._journal.frames[self._number]
         self.process(Frame(timestamp_s, self._rgb, self._depth_m))
 
@@ -67,10 +84,49 @@ class ReplayedSlam(Slam):
         return tracked
 
     def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
-        return {each.id: self._T_odom_kf[each.id] for each in keyframes}
+        last = self._journal.T_odom_kf
+        return {each.id: last.get(each.id, self._T_odom_kf[each.id]) for each in keyframes}
+
+    @property
+    def _map(self) -> LandmarkMap:
+        return self._remembered.the_map if self._remembered else super()._map
 
     def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
-        return loops.T_world_kf, loops.T_world_kf_without, (NOT_ADJUSTED,)
+        if self._remembered:
+            return super()._adjusted(loops)
+        left_out = size_warning(len(loops.T_world_kf)) or (NOT_ADJUSTED,)
+        return loops.T_world_kf, loops.T_world_kf_without, left_out
+
+
+def replayed(
+    journal: Journal,
+    config: Config,
+    poses: PoseFile | None,
+    remembered: Remembered | None = None,
+) -> ReplayedSlam:
+    """Return a run with all frames of a journal processed, with poses from elsewhere if any."""
+    slam = ReplayedSlam(journal, config, remembered)
+    feed = PoseFeed(slam, poses.trajectory if poses else None)
+    for number, (timestamp_s, _) in enumerate(journal.frames):
+        if number in journal.session_starts:  # before its poses
+            slam.start_session()
+        feed.until(timestamp_s)
+        slam.process_next()
+    if journal.is_whole:
+        feed.until(math.inf)
+    return slam
+
+
+def poses_again(journal: Journal, config: Config) -> PoseFile | None:
+    """Return the poses from elsewhere that a run was given, None without.
+
+    Raises:
+        LoopcloseError: their file cannot be read any more.
+    """
+    if journal.header.odometry is None:
+        return None
+    stamps_s = np.array([timestamp_s for timestamp_s, _ in journal.frames])
+    return read_odometry(Path(journal.header.odometry), stamps_s, config.input)
 
 
 class _Nobody:
@@ -81,6 +137,19 @@ class _Nobody:
 
     def embed(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         raise NotImplementedError
+
+
+class _RememberedLoops(LoopCloser):
+    """Looks for loops by the embeddings of a run, one keyframe after the other."""
+
+    def __init__(self, camera: Camera, remembered: Remembered, config: Config) -> None:
+        nobody = _Nobody(remembered.min_similarity)
+        super().__init__(camera, nobody, config.loop, config.verification)
+        self._certificate = remembered.certificate
+        self._left = iter(remembered.embeddings)
+
+    def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        return next(self._left)
 
 
 class _RecordedLoops(LoopCloser):

@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import asdict, dataclass, field
 from itertools import takewhile
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -66,6 +66,8 @@ class Journal:
         frames: in the order of time, with None for one that was not placed. Keyframes have neither
             features nor images.
         session_starts: positions in `frames` at which a session begins.
+        T_odom_kf: (4, 4) by id, where the odometry had keyframes in the end; none of a killed run.
+        is_whole: whether the run came to the end of its recordings.
         attempts: loop candidates by the id of the later keyframe, in the order they were looked at;
             without the pixels of their matches, and with the points of accepted loops alone.
     """
@@ -74,6 +76,8 @@ class Journal:
     frames: list[tuple[float, TrackedFrame | None]] = field(default_factory=list)
     session_starts: set[int] = field(default_factory=set)
     attempts: dict[int, list[LoopAttempt]] = field(default_factory=dict)
+    T_odom_kf: dict[int, FloatArray] = field(default_factory=dict)
+    is_whole: bool = False
 
 
 class JournalWriter:
@@ -184,23 +188,34 @@ def read_journal(folder: Path) -> Journal:
     path = folder / JOURNAL
     try:
         first, *lines = read_bytes(path, _MOST_BYTES).split(b"\n")
-        header = json.loads(first)
-        camera = Camera(**{**header["camera"], "distortion": tuple(header["camera"]["distortion"])})
-        header = {**header, "camera": camera, "warnings": tuple(header["warnings"])}
-        journal = Journal(Header(**header))
+        journal = Journal(header_of(json.loads(first)))
     except LoopcloseError as error:
         raise SlamError(f"there is nothing unfinished to read: {error}") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise SlamError(f"the journal does not say what run it is of: {path}") from error
-    shape = (camera.height, camera.width)
-    blank = Frame(0.0, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32))
-    image = preview(blank)
+    image = blank_preview(journal.header.camera)
     for line in lines:
         try:
             _take(json.loads(line), journal, image)
         except (ValueError, TypeError, KeyError, IndexError, RecursionError):
             break
     return journal
+
+
+def header_of(told: dict[str, Any]) -> Header:
+    """Return the header that a journal tells.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is none.
+    """
+    camera = Camera(**{**told["camera"], "distortion": tuple(told["camera"]["distortion"])})
+    return Header(**{**told, "camera": camera, "warnings": tuple(told["warnings"])})
+
+
+def blank_preview(camera: Camera) -> Frame:
+    """Return what stands for the image of every keyframe."""
+    shape = (camera.height, camera.width)
+    return preview(Frame(0.0, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)))
 
 
 def _take(line: Line, journal: Journal, image: Frame) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
+    Check,
     Features,
     FloatArray,
     Frame,
@@ -71,20 +72,11 @@ def frame_of(line: Line, image: Frame) -> TrackedFrame:
     if "keyframe" not in line:
         return TrackedFrame(keyframe_id, T_kf_cam, T_odom_cam, segment, covered=covered)
     timestamp_s, T = line["keyframe"]
-    none = np.zeros((0, 2), np.float32)
-    features = Features(
-        none,
-        none,
-        np.zeros(0, np.uint8),
-        np.zeros((0, 32), np.uint8),
-        np.zeros(0, np.float32),
-        np.zeros((0, 3), np.float32),
-    )
     keyframe = Keyframe(
         keyframe_id,
         float(timestamp_s),
         _matrix(T),
-        features,
+        Features.none(),
         image,
         float(line["turning_rad_s"]),
         segment,
@@ -105,6 +97,8 @@ def attempt_line(attempt: LoopAttempt) -> Line:
         line["min_similarity"] = attempt.min_similarity
     if rejection := attempt.rejection:
         line["rejection"] = [rejection.reason.name, rejection.measured, rejection.needed]
+    if attempt.checks:
+        line["checks"] = [[c.reason.name, c.measured, c.needed, c.passed] for c in attempt.checks]
     if attempt.motion:
         line["motion"] = _of_motion(attempt.motion)
     if seen := attempt.verification:
@@ -132,6 +126,9 @@ def attempt_of(line: Line) -> LoopAttempt:
     outcome = rejection or motion
     if outcome is None:
         raise KeyError("rejection")
+    checks = tuple(
+        Check(RejectionReason[reason], *numbers) for reason, *numbers in line.get("checks", ())
+    )
     verification = None
     if "is_inlier" in line:
         mask = np.array([each == "1" for each in line["is_inlier"]], bool)
@@ -147,4 +144,5 @@ def attempt_of(line: Line) -> LoopAttempt:
         verification,
         outcome,
         min_similarity=float(line["min_similarity"]) if "min_similarity" in line else None,
+        checks=checks,
     )

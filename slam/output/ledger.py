@@ -1,22 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop ledger, loops.jsonl: every loop decision with its numbers, one JSON object per line."""
+"""The loop ledger, loops.jsonl: every loop decision with its numbers, one JSON object per line.
+
+`docs/ledger.md` is its schema.
+"""
 
 import json
 import math
+from contextlib import suppress
 from dataclasses import asdict, astuple
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from placerec.files import read_text, write_atomically
+from placerec.files import is_file, is_folder, read_text, write_atomically
 from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
+from slam.output.claimed_folder import UNFINISHED
 from slam.output.decision import Decision, decisions
 from slam.result import SlamResult
-from slam.types import RelativePose, SlamError
+from slam.types import Check, Rejection, RejectionReason, RelativePose, SlamError
 
+VERSION: Literal[1] = 1
+"""Of the schema: larger whenever a reader of the one before would be misled."""
+
+_STAGES = {
+    RejectionReason.LOW_SIMILARITY: "similarity",
+    RejectionReason.SECOND_LOOK: "second_look",
+    RejectionReason.FEW_MATCHES: "matches",
+    RejectionReason.NO_POSE: "inliers",
+    RejectionReason.FEW_INLIERS: "inliers",
+    RejectionReason.LOW_INLIER_RATIO: "inlier_ratio",
+    RejectionReason.NARROW_SUPPORT: "support",
+    RejectionReason.UNCERTAIN_MOTION: "uncertainty",
+    RejectionReason.UNJOINED: "joined",
+    RejectionReason.OUTVOTED: "graph",
+}
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -49,24 +70,70 @@ class TruthRecord:
 
 
 @dataclass(frozen=True, config=_STRICT)
+class InfluenceRecord:
+    """What a loop in use did to the map, by the pose graph without it.
+
+    Attributes:
+        moved_rms_mm: root mean square of how far it moved the keyframes.
+        moved_most_mm, moved_most_id: how far it moved the one that it moved most, and which.
+        chi_square: by how much the graph's sum of squared errors would fall without it.
+        verdict: helped or hurt, by ground truth; without that agrees, or contradicts where the fall
+            exceeds the limit of the graph stage.
+        helped_mm: how much larger the ATE of the keyframes would be; None without ground truth.
+    """
+
+    moved_rms_mm: float
+    moved_most_mm: float
+    moved_most_id: int
+    chi_square: float
+    verdict: str
+    helped_mm: float | None
+
+
+@dataclass(frozen=True, config=_STRICT)
+class StageRecord:
+    """What one stage measured of a candidate; numbers are None where they are not finite.
+
+    Attributes:
+        stage: similarity, second_look, matches, inliers, inlier_ratio, support, uncertainty, joined
+            or graph.
+        measured, needed: the number that the stage decides by, and what it has to be: at most that
+            for uncertainty and graph, at least that for the others.
+        margin: needed - measured, the distance to the opposite decision.
+        passed: whether the stage said yes.
+    """
+
+    stage: str
+    measured: float | None
+    needed: float | None
+    margin: float | None
+    passed: bool
+
+
+@dataclass(frozen=True, config=_STRICT)
 class LoopRecord:
     """One line of the ledger; its fields are the line's keys, in this order.
 
     Attributes:
+        version: of the schema.
         query_id, match_id: keyframe ids; the query is the later one.
         query_timestamp_s, match_timestamp_s: seconds.
         similarity, min_similarity: of the two embeddings, and from where one was verified then.
         accepted: whether geometry and the pose graph both believe the loop.
         reason: stable code of the rejection, such as `few_inliers`; None if accepted.
         explanation: the same in words.
-        measured, needed: the number that decided and the one it needed; None if accepted.
-        margin: needed - measured, the distance to the opposite decision.
+        decided_by: the stage that rejected it; if accepted, the one that came nearest to that, as a
+            share of what it needed.
+        measured, needed, margin: of that stage; None where no stage is on record.
+        stages: what every stage measured, in order, of those that the candidate came to.
         matches, inliers: counts of descriptor matches; None where geometry was not asked.
         T_match_query: the measured motion; None where geometry found none.
         weight: the pose graph's final trust, 0 (ignored) to 1; None where it was not asked.
+        influence: what it did to the map; None of a loop not in use, or in a large map.
         truth: None without ground truth at both keyframes.
     """
 
+    version: Literal[1]
     query_id: int
     match_id: int
     query_timestamp_s: float
@@ -76,13 +143,16 @@ class LoopRecord:
     accepted: bool
     reason: str | None
     explanation: str | None
+    decided_by: str | None
     measured: float | None
     needed: float | None
     margin: float | None
+    stages: tuple[StageRecord, ...]
     matches: int | None
     inliers: int | None
     T_match_query: MotionRecord | None
     weight: float | None
+    influence: InfluenceRecord | None
     truth: TruthRecord | None
 
 
@@ -106,24 +176,50 @@ def ledger_line(loop: Decision, min_similarity: float) -> str:
     return json.dumps(asdict(_record(loop, min_similarity)), allow_nan=False)
 
 
-def read_ledger(path: Path) -> tuple[LoopRecord, ...]:
-    """Read back what `write_ledger` wrote.
+def read_ledger(path: Path | str) -> tuple[LoopRecord, ...]:
+    """Read back the loop decisions of a run, from its loops.jsonl or its folder.
+
+    Of a run that was killed the folder has what was decided until then, before the pose graph had
+    its say; a last line that was torn is left out.
 
     Raises:
-        SlamError: the file cannot be read or a line is not a loop record; names the line.
+        SlamError: the file cannot be read, a line is not a loop record, or it is of another version
+            of the schema; names the line.
     """
-    records: list[LoopRecord] = []
-    lines = read_text(path, what="the loop ledger", kind=SlamError).splitlines()
+    path = Path(path)
+    if is_folder(path):
+        left, name = path / UNFINISHED / "loops.jsonl", "loops.jsonl"
+        path = left if is_file(left) and not is_file(path / name) else path / name
+    lines = read_text(path, what="the loop ledger", kind=SlamError).split("\n")
+    torn = lines.pop()  # nothing, after a whole line
+    records = [_read(line, f"line {n} of the loop ledger", path) for n, line in enumerate(lines, 1)]
+    with suppress(ValidationError):
+        records += [_LINE.validate_json(torn)] if torn else []
+    return tuple(records)
+
+
+def _read(line: str, place: str, path: Path) -> LoopRecord:
     try:
-        for line in lines:
-            records.append(_LINE.validate_json(line))
+        return _LINE.validate_json(line)
     except ValidationError as error:
+        if (told := _of_another_version(line)) is not None:
+            raise SlamError(f"{place} {told}: {path}") from error
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"]) or "the line"
-        raise SlamError(
-            f"line {len(records) + 1} of the loop ledger: {name}: {first['msg']}: {path}"
-        ) from error
-    return tuple(records)
+        raise SlamError(f"{place}: {name}: {first['msg']}: {path}") from error
+
+
+def _of_another_version(line: str) -> str | None:
+    """Return what to say of a line of another version of the schema, None if it is none."""
+    try:
+        content = json.loads(line)
+        version = content.get("version", 0 if "query_id" in content else VERSION)
+        is_newer, is_older = version > VERSION, version < VERSION
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return None
+    if is_newer:
+        return f"is of schema {version}, and this reads {VERSION}: update loopclose"
+    return f"was written before schema {VERSION}: run again" if is_older else None
 
 
 def loop_records(result: SlamResult, drift: DriftReport | None) -> tuple[LoopRecord, ...]:
@@ -140,7 +236,10 @@ def _record(loop: Decision, min_similarity: float) -> LoopRecord:
         *errors, is_false, nees = astuple(loop.truth)
         far_m, far_deg, apart_m, apart_deg = map(_number, errors)
         truth = TruthRecord(far_m, far_deg, apart_m, apart_deg, is_false, _number(nees))
+    stages = tuple(_stage_record(each) for each in attempt.checks)
+    decided = _deciding(stages, rejection)
     return LoopRecord(
+        version=VERSION,
         query_id=int(attempt.query_id),
         match_id=int(attempt.match_id),
         query_timestamp_s=round(float(loop.query.timestamp_s), 6),
@@ -150,14 +249,60 @@ def _record(loop: Decision, min_similarity: float) -> LoopRecord:
         accepted=rejection is None,
         reason=rejection.reason.name.lower() if rejection else None,
         explanation=rejection.reason.value if rejection else None,
-        measured=_number(rejection.measured) if rejection else None,
-        needed=_number(rejection.needed) if rejection else None,
-        margin=_number(rejection.needed - rejection.measured) if rejection else None,
+        decided_by=decided.stage if decided else None,
+        measured=decided.measured if decided else None,
+        needed=decided.needed if decided else None,
+        margin=decided.margin if decided else None,
+        stages=stages,
         matches=loop.matches,
         inliers=loop.inliers,
         T_match_query=_motion_record(attempt.motion) if attempt.motion else None,
         weight=_number(attempt.weight) if attempt.weight is not None else None,
+        influence=influence_record(loop),
         truth=truth,
+    )
+
+
+def influence_record(loop: Decision) -> InfluenceRecord | None:
+    """Return what a loop did to the map, None where that is not known."""
+    influence = loop.attempt.influence
+    if influence is None or not math.isfinite(influence.chi_square):
+        return None
+    limits = [c.needed for c in loop.attempt.checks if c.reason is RejectionReason.OUTVOTED]
+    is_known = math.isfinite(loop.helped_m)
+    is_good = (
+        loop.helped_m >= 0.0 if is_known else influence.chi_square <= min(limits, default=math.inf)
+    )
+    names = ("helped", "hurt") if is_known else ("agrees", "contradicts")
+    most_id, most_m = influence.most
+    return InfluenceRecord(
+        moved_rms_mm=_digits(1000.0 * influence.rms_m),
+        moved_most_mm=_digits(1000.0 * most_m),
+        moved_most_id=most_id,
+        chi_square=_digits(influence.chi_square),
+        verdict=names[0] if is_good else names[1],
+        helped_mm=_number(1000.0 * loop.helped_m),
+    )
+
+
+def _stage_record(check: Check | Rejection) -> StageRecord:
+    return StageRecord(
+        _STAGES.get(check.reason, check.reason.name.lower()),
+        _number(check.measured),
+        _number(check.needed),
+        _number(check.needed - check.measured),
+        passed=isinstance(check, Check) and check.passed,
+    )
+
+
+def _deciding(stages: tuple[StageRecord, ...], rejection: Rejection | None) -> StageRecord | None:
+    """Return the stage that said no, or else the one that came nearest to that."""
+    if rejection:
+        refused = _stage_record(rejection)
+        return next((each for each in stages if each.stage == refused.stage), refused)
+    known = [each for each in stages if each.margin is not None and each.needed]
+    return min(
+        known, key=lambda each: abs(each.margin or 0.0) / abs(each.needed or 1.0), default=None
     )
 
 

@@ -17,6 +17,7 @@ from slam.evaluation.trajectory import write_tum
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
 from slam.output.ledger import write_ledger
+from slam.output.measurements import MEASUREMENTS, Measurements, write_measurements
 from slam.output.point_cloud import write_map
 from slam.output.summary import summarise
 from slam.result import GivenOdometry, SlamResult
@@ -60,8 +61,11 @@ def write_outputs(
     title: str,
     command: str,
     pose_file: PoseFile | None = None,
+    measured: Measurements | None = None,
 ) -> None:
     """Write every output as `write_run` does, into a folder that is claimed already.
+
+    What the run measured is written where it is given.
 
     Raises:
         LoopcloseError: files cannot be written; the others are complete and in their place.
@@ -77,6 +81,8 @@ def write_outputs(
         writers |= _of_given(result.given, pose_file)
     if truth is not None:
         writers["groundtruth.txt"] = lambda path: write_tum(path, truth)
+    if measured is not None:
+        writers[MEASUREMENTS] = lambda path: write_measurements(path, measured)
     writers |= {
         "loops.jsonl": lambda path: write_ledger(path, result, drift),
         "pose_graph.g2o": lambda path: _write_graph(path, result),

@@ -11,6 +11,7 @@ import numpy as np
 from placerec.certificate import Certificate
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
+from slam.output.counterfactual import counterfactual
 from slam.result import SlamResult
 from slam.types import RejectionReason
 
@@ -32,6 +33,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
       geometry was asked, the others were left out before; accepted ones are those that both
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - keyframes_with_loop: those that have an accepted one to an earlier keyframe.
+    - counterfactual: what adjusting did, what loops did and what each did; see `counterfactual`.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits, None where it says nothing of how the camera turned.
     - min_similarity: the one from which candidates were verified, in the end where it was adapted.
@@ -80,6 +82,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "keyframes_with_loop": len(
             {attempt.query_id for attempt in result.attempts if attempt.rejection is None}
         ),
+        "counterfactual": counterfactual(result, drift),
         "loops_judged": len(verdicts) if drift else None,
         "loops_false": sum(verdicts) if drift and not drift.unjudged else None,
         "min_similarity": result.min_similarity,

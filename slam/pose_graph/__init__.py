@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from slam.pose_graph.graph import GraphSolution, PoseGraph
+from slam.pose_graph.leave_one_out import leave_one_out
 from slam.pose_graph.live import solve_beside
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "GraphSolution",
     "PoseGraph",
+    "leave_one_out",
     "read_g2o",
     "solve",
     "solve_beside",

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The graph of keyframes that links, steps and loops connect, and what its solution says."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -46,8 +47,12 @@ class GraphSolution:
         T_world_kf: (4, 4) float64 by keyframe id, metres.
         weights: trust per loop key, 0 (ignored) to 1.
         warnings: one sentence each.
+        squared_errors: per loop key, in units of the loop's covariance; on the way nobody asks.
+        limit: the squared error from which a loop is ignored.
     """
 
     T_world_kf: dict[int, FloatArray]
     weights: dict[int, float]
     warnings: tuple[str, ...] = ()
+    squared_errors: Mapping[int, float] = field(default_factory=dict)
+    limit: float = math.inf

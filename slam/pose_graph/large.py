@@ -31,11 +31,13 @@ def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
         opinion = second_opinion(graph, system, inlier_probability, kept, squared, cost)
         doubts = opinion.doubts
         if opinion.T_world_kf is not None:
-            T, kept, _ = _at_rest(system, opinion.T_world_kf, opinion.kept, limit)
+            T, kept, squared = _at_rest(system, opinion.T_world_kf, opinion.kept, limit)
     return GraphSolution(
         dict(zip(graph.T_world_kf, T, strict=True)),
         dict(zip(graph.loops, kept.astype(np.float64).tolist(), strict=True)),
         doubts,
+        dict(zip(graph.loops, squared.tolist(), strict=True)),
+        limit,
     )
 
 

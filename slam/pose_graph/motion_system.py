@@ -2,6 +2,7 @@
 """The motions of a pose graph as arrays, and Gauss-Newton steps towards where they agree."""
 
 import copy
+from collections.abc import Iterator
 
 import numpy as np
 import scipy.sparse
@@ -109,6 +110,32 @@ class MotionSystem:
         step = self._matrix.solved(blocks, -gradient)
         moved: FloatArray = T_world_kf @ se3.exp(step)
         return moved, float(np.abs(step).max())
+
+    def left_out(
+        self, T_world_kf: FloatArray, loop_weights: FloatArray
+    ) -> Iterator[tuple[int, float, FloatArray]]:
+        """Yield what there is without each loop that has a weight, to first order.
+
+        That is its number, by how much the sum of squared errors falls, and the (K, 6) steps of the
+        poses. The (K, 4, 4) poses solve the graph with (L,) weights, 0 or 1.
+        """
+        errors, sides = self._linearised(T_world_kf)
+        information = self._information.copy()
+        information[self.first_loop :] *= loop_weights[:, None, None]
+        blocks = [
+            J_a.transpose(0, 2, 1) @ information @ J_b for _, J_a in sides for _, J_b in sides
+        ]
+        count = len(T_world_kf)
+        inverse = self._matrix.solved_anew(blocks, np.eye(6 * count).reshape(count, 6, -1))
+        inverse = inverse.reshape(count, 6, count, 6)
+        for loop in np.flatnonzero(loop_weights).tolist():
+            n = self.first_loop + loop
+            X = sum(inverse[:, :, a[n]] @ J_a[n].T for a, J_a in sides)  # (K, 6, 6)
+            P = sum(J_a[n] @ X[a[n]] for a, J_a in sides)
+            covariance = np.linalg.inv(self._information[n])
+            # The least of the answers, where nothing else says how the two keyframes lie.
+            gain = np.linalg.lstsq(covariance - P, errors[n])[0]
+            yield loop, float(errors[n] @ gain), X @ gain
 
     def draws(self, T_world_kf: FloatArray) -> FloatArray:
         """Return (K, 6, D) tangents: how far off the poses may be, drawn from all motions.

@@ -4,7 +4,7 @@
 import gtsam
 import numpy as np
 
-from slam.pose_graph.batch import optimize
+from slam.pose_graph.batch import factor_errors, optimize
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.large import solve_large
 from slam.pose_graph.motion_system import MotionSystem
@@ -45,10 +45,14 @@ def solve(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     for loop, is_kept in zip(loops, opinion.kept, strict=True):
         if is_kept:
             believed.add(loop)
+    values = optimize(believed, values)
+    squared = 2.0 * factor_errors(everything, values)[doubted]
     return GraphSolution(
-        _poses(optimize(believed, values), graph),
+        _poses(values, graph),
         dict(zip(graph.loops, weights.tolist(), strict=True)),
         opinion.doubts,
+        dict(zip(graph.loops, squared.tolist(), strict=True)),
+        2.0 * float(solution.limits[doubted[0]]),
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.evaluation.drift import DriftReport
+from slam.output.counterfactual import in_words
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
 from slam.result import GivenOdometry, SlamResult
 
@@ -70,10 +71,11 @@ def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision
     """
     is_closed = any(loop.attempt.rejection is None for loop in loops)
     given = [_given(result.given)] if result.given and result.given.verdict else []
+    each = [sentence] if (sentence := in_words(loops)) else []
     if drift is None:
-        return [_correction(result, is_closed), _loops(drift, loops), *given]
+        return [_correction(result, is_closed), _loops(drift, loops), *each, *given]
     adjustment = _adjustment(drift, "given odometry" if result.given else "odometry")
-    sentences = [_drift(result, drift, is_closed), adjustment, _loops(drift, loops), *given]
+    sentences = [_drift(result, drift, is_closed), adjustment, _loops(drift, loops), *each, *given]
     if min(drift.coverage, drift.corrected.matched_share) < 0.995:
         sentences.append(
             f"Ground truth covers {drift.coverage:.0%} of the sequence's time span; "

@@ -4,7 +4,7 @@ import pytest
 
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config
-from slam.output.finishing import NOT_ADJUSTED, ReplayedSlam
+from slam.output.finishing import NOT_ADJUSTED, replayed
 from slam.output.journal import Header, JournalWriter, read_journal
 from slam.system import Slam
 
@@ -22,11 +22,8 @@ def journal_of(slam, camera, frames, folder, poses=None, sessions=()):
     return read_journal(folder)
 
 
-def replayed(journal):
-    slam = ReplayedSlam(journal, Config())
-    for _ in journal.frames:
-        slam.process_next()
-    return slam.finish()
+def finished(journal):
+    return replayed(journal, Config(), None).finish()
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +32,7 @@ def both(tmp_path_factory, frames, sequence):
     slam = Slam(sequence.camera, GradientRecognizer())
     folder = tmp_path_factory.mktemp("run") / "unfinished"
     journal = journal_of(slam, sequence.camera, frames, folder)
-    return slam.finish(), replayed(journal)
+    return slam.finish(), finished(journal)
 
 
 def test_a_run_is_finished_without_its_images(both, T_first_cam):
@@ -63,7 +60,7 @@ def test_lost_frames_and_sessions_are_those_of_the_run(tmp_path, frames, sequenc
     ]
     slam = Slam(sequence.camera, GradientRecognizer())
     journal = journal_of(slam, sequence.camera, dark, tmp_path / "x", sessions=(0, 20))
-    result, again = slam.finish(), replayed(journal)
+    result, again = slam.finish(), finished(journal)
     assert np.array_equal(again.untracked_s, result.untracked_s) and len(again.untracked_s) > 1
     assert np.array_equal(again.session_starts_s, result.session_starts_s)
     assert [each.segment for each in again.keyframes] == [each.segment for each in result.keyframes]
@@ -72,5 +69,5 @@ def test_lost_frames_and_sessions_are_those_of_the_run(tmp_path, frames, sequenc
 def test_the_same_journal_gives_the_same_bits(tmp_path, frames, sequence):
     slam = Slam(sequence.camera, GradientRecognizer())
     journal = journal_of(slam, sequence.camera, frames[:20], tmp_path / "x")
-    first, second = replayed(journal), replayed(journal)
+    first, second = finished(journal), finished(journal)
     assert np.array_equal(first.trajectory.T_world_cam, second.trajectory.T_world_cam)

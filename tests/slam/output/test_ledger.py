@@ -13,6 +13,7 @@ from slam.output.ledger import MotionRecord, TruthRecord, loop_records, read_led
 from slam.result import SlamResult
 from slam.types import (
     Camera,
+    Check,
     Features,
     Frame,
     Keyframe,
@@ -170,6 +171,56 @@ def test_a_loop_the_graph_ignores_is_outvoted_but_keeps_its_motion():
     assert record.T_match_query is not None
 
 
+STAGES = (
+    Check(RejectionReason.LOW_SIMILARITY, 0.9, 0.5, passed=True),
+    Check(RejectionReason.FEW_MATCHES, 40, 20, passed=True),
+    Check(RejectionReason.FEW_INLIERS, 12.0, 25.0, passed=False),
+    Check(RejectionReason.LOW_INLIER_RATIO, 0.3, 0.25, passed=True),
+)
+
+
+def test_every_stage_has_its_number_and_how_far_it_was_from_the_opposite():
+    refused = LoopAttempt(2, 1, 0.9, verification(FEW), FEW, checks=STAGES)
+    held = replace(refused, outcome=MOTION, checks=(*STAGES[:2], STAGES[3]))
+    first, second = loop_records(result((refused, held)), None)
+    assert [each.stage for each in first.stages] == [
+        "similarity",
+        "matches",
+        "inliers",
+        "inlier_ratio",
+    ]
+    assert [each.passed for each in first.stages] == [True, True, False, True]
+    assert (first.decided_by, first.margin) == ("inliers", 13.0)
+    assert (second.decided_by, second.measured, second.needed) == ("inlier_ratio", 0.3, 0.25)
+    assert second.margin == pytest.approx(-0.05)
+
+
+def test_a_killed_run_is_read_from_its_folder_but_for_what_is_torn(tmp_path):
+    left = tmp_path / "unfinished"
+    left.mkdir()
+    write_ledger(left / "loops.jsonl", result(), None)
+    whole = (left / "loops.jsonl").read_text()
+    (left / "loops.jsonl").write_text(whole + whole[:30])
+    assert read_ledger(tmp_path) == loop_records(result(), None)
+    write_ledger(tmp_path / "loops.jsonl", result(ATTEMPTS[:1]), None)
+    assert len(read_ledger(tmp_path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        ('"version": 2', "is of schema 2, .* update loopclose"),
+        ('"older": 1', "was written before .*"),
+    ],
+)
+def test_another_version_of_the_schema_is_told(tmp_path, written, told):
+    path = tmp_path / "loops.jsonl"
+    write_ledger(path, result(), None)
+    path.write_text(path.read_text().replace('"version": 1', written))
+    with pytest.raises(SlamError, match=f"^line 1 of the loop ledger {told}: {path}$"):
+        read_ledger(path)
+
+
 def test_lines_are_plain_json_in_the_order_of_the_attempts(tmp_path):
     odd = Rejection(RejectionReason.NARROW_SUPPORT, NAN, math.inf)
     attempts = (*ATTEMPTS, LoopAttempt(2, 1, 0.6, None, odd))
@@ -180,7 +231,7 @@ def test_lines_are_plain_json_in_the_order_of_the_attempts(tmp_path):
     lines = [json.loads(line) for line in text.splitlines()]
     assert [line["query_id"] for line in lines] == [2, 2, 1, 1, 2]
     assert len({tuple(line) for line in lines}) == 1
-    assert list(lines[0])[:3] == ["query_id", "match_id", "query_timestamp_s"]
+    assert list(lines[0])[:3] == ["version", "query_id", "match_id"]
 
 
 @pytest.mark.parametrize(

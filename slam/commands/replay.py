@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`run_slam replay`: decide about the loops of a run again, without its images."""
+
+from argparse import ArgumentParser
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from placerec.commands import usage
+from placerec.commands.console import say
+from placerec.errors import LoopcloseError, cause_of
+from slam.config import Config, load_config
+from slam.types import SlamError
+
+if TYPE_CHECKING:
+    from slam.output.measurements import Measurements
+
+PROG = "run_slam replay"
+_WITH_FEATURES = ("loop", "verification", "graph", "motion", "evaluation")
+_WITHOUT = ("graph", "motion", "evaluation")
+_AGAIN = (
+    "decided again from what {} measured: the camera is where it was tracked, and there are no"
+    " pictures and no point cloud"
+)
+_DESCRIPTION = """Decide about the loops of a run again, with other settings, without its images.
+
+  run_slam replay runs/fr1_desk                                  the same decisions again
+  run_slam replay runs/fr1_desk --verification.min-inliers 20    with fewer inliers
+  run_slam replay runs/fr1_desk --graph.inlier-probability 0.99 --out runs/trusting
+
+The run's own settings hold unless told. Similarity, geometry, pose graph and the map's adjustment
+are done anew; what the camera was tracked by is not: settings of --input, --features, --odometry,
+--keyframes and --map stay as they are. To try those, run the recording again."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What run_slam replay was asked to do."""
+
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Folder of a run."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the outputs, RUN-replay unless told."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """TOML file with settings instead of the run's; flags win over it."""
+    settings: Annotated[Config, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = field(
+        default_factory=Config
+    )
+
+
+def main(typed: list[str]) -> int:
+    """Decide again and return the exit code 0.
+
+    Raises:
+        LoopcloseError: something is wrong with what was typed, or with the run.
+    """
+    arguments = parse(typed)
+    from slam.geometry.features import search_images_on_one_thread
+    from slam.output.measurements import MEASUREMENTS, read_measurements
+
+    search_images_on_one_thread()
+    run = arguments.run
+    if not (run / MEASUREMENTS).exists():
+        raise SlamError(
+            f"there is no {MEASUREMENTS} of a run in this folder, without which nothing can be"
+            f" decided again: {run}"
+        )
+    measured = read_measurements(run / MEASUREMENTS, arguments.settings)
+    before = load_config(run / "settings.toml")
+    _refuse_what_cannot_be(before, arguments.settings, measured)
+    _decide(arguments, measured)
+    return 0
+
+
+def parse(typed: list[str]) -> Arguments:
+    """Return the parsed command line; exits with code 0 after --help and the like.
+
+    Raises:
+        LoopcloseError: something is wrong with it, or the settings cannot be read.
+    """
+    finder = ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path, nargs="?")
+    named: Path | None = finder.parse_known_args(typed)[0].config
+    folder = Path(next((each for each in typed if not each.startswith("-")), "."))
+    usual = folder / "settings.toml"
+    defaults = Config()
+    if named is not None or usual.is_file():
+        defaults = load_config(named or usual)
+
+    def read(left: list[str]) -> Arguments:
+        default = Arguments(run=tyro.MISSING, settings=defaults)
+        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left, default=default)
+
+    sections = {type(section).__name__: name for name, section in defaults}
+    return usage.answered(PROG, typed, read, sections)
+
+
+def _refuse_what_cannot_be(before: Config, now: Config, measured: "Measurements") -> None:
+    """Refuse settings that only the images, or what was not kept, could answer for."""
+    free = _WITH_FEATURES if measured.remembered else _WITHOUT
+    for section, values in now:
+        for name, value in values:
+            if section in free or value == getattr(getattr(before, section), name):
+                continue
+            flag = f"--{section}.{name}".replace("_", "-")
+            why = "its images are needed for that"
+            if section in _WITH_FEATURES:
+                why = "it kept no features: it had too many keyframes, was killed, or its"
+                why += " recognizer compares by itself"
+            raise SlamError(f"{flag} cannot be decided again for this run: {why}; run it again")
+
+
+def _decide(arguments: Arguments, measured: "Measurements") -> None:
+    import shlex
+    from dataclasses import replace
+
+    from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
+    from slam.output.ending import Run, conclude
+    from slam.output.finishing import poses_again, replayed
+    from slam.output.run_folder import begin_outputs
+
+    run, journal, settings = arguments.run, measured.journal, arguments.settings
+    folder = arguments.out or run.with_name(f"{run.resolve().name}-replay")
+    if folder.resolve() == run.resolve():
+        raise SlamError(f"--out is the run that is decided again; choose another folder: {folder}")
+    told = (*journal.header.warnings, _AGAIN.format(run))
+    header = replace(journal.header, command=shlex.join([*PROG.split(), str(run)]))
+    poses = poses_again(journal, settings)
+    with ClaimedFolder(folder) as claimed:
+        claimed.refuse_foreign(OUTPUTS)
+        begin_outputs(claimed, settings, header.command, measured.truth)
+        try:
+            slam = replayed(journal, settings, poses, measured.remembered)
+        except LoopcloseError:
+            raise
+        except Exception as error:  # numbers that no run measures
+            raise SlamError(
+                f"what the run measured makes no sense: {cause_of(error)}: {run}"
+            ) from error
+        truth = measured.truth
+        asked = Run(claimed, header, settings, truth, poses, lambda: told, keeps=False)
+        ended = conclude(asked, slam)
+        say(ended.table)
+        if ended.problems:
+            raise LoopcloseError("; ".join(ended.problems))
