@@ -18,6 +18,9 @@ from slam.result import SlamResult
 from slam.system import Slam
 from slam.types import SlamError, Trajectory
 
+_MOST_MEASURED = (
+    5000  # keyframes: what was measured of more would fill gigabytes before it is written
+)
 _HARDLY_ANY, _WORTH_A_WORD = 0.1, 20  # frames placed to each that was not; of these at least
 
 
@@ -125,6 +128,8 @@ def _measured(run: Run, slam: Slam, is_whole: bool) -> Measurements:
     Raises:
         SlamError: it is not all there.
     """
+    if (count := len(slam.T_odom_kf)) > _MOST_MEASURED:
+        raise SlamError(f"of {count} keyframes, more than {_MOST_MEASURED}, too much was measured")
     journal = read_journal(run.claimed.unfinished)
     keyframes = sum(bool(each and each.new_keyframe) for _, each in journal.frames)
     if keyframes != len(T_odom_kf := slam.T_odom_kf):

@@ -13,8 +13,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from placerec.errors import LoopcloseError
-from placerec.files import read_bytes
+from placerec.errors import LoopcloseError, cause_of
+from placerec.files import check_file
 from slam.evaluation.trajectory import tum_lines
 from slam.output.claimed_folder import JOURNAL
 from slam.output.decision import Decision
@@ -187,18 +187,21 @@ def read_journal(folder: Path) -> Journal:
     """
     path = folder / JOURNAL
     try:
-        first, *lines = read_bytes(path, _MOST_BYTES).split(b"\n")
-        journal = Journal(header_of(json.loads(first)))
-    except LoopcloseError as error:
-        raise SlamError(f"there is nothing unfinished to read: {error}") from error
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise SlamError(f"the journal does not say what run it is of: {path}") from error
-    image = blank_preview(journal.header.camera)
-    for line in lines:
+        check_file(path, _MOST_BYTES)
+        file = path.open("rb")
+    except (LoopcloseError, OSError) as error:
+        raise SlamError(f"there is nothing unfinished to read: {cause_of(error)}") from error
+    with file:  # line by line: all of hours would not fit into memory
         try:
-            _take(json.loads(line), journal, image)
-        except (ValueError, TypeError, KeyError, IndexError, RecursionError):
-            break
+            journal = Journal(header_of(json.loads(next(file, b""))))
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise SlamError(f"the journal does not say what run it is of: {path}") from error
+        image = blank_preview(journal.header.camera)
+        for line in file:
+            try:
+                _take(json.loads(line), journal, image)
+            except (ValueError, TypeError, KeyError, IndexError, RecursionError):
+                break
     return journal
 
 

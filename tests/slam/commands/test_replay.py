@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is decided again without images is what a run decides with them."""
 
+import json
 import re
 import shutil
 import sys
@@ -140,3 +141,15 @@ def test_help_names_and_teaches_it(capsys):
         with pytest.raises(SystemExit) as ended:
             main(typed)
         assert ended.value.code in (0, None) and told in capsys.readouterr().out
+
+
+def test_of_a_run_of_hours_nothing_is_kept_and_that_is_said(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr("slam.output.ending._MOST_MEASURED", 2)
+    folder = run(recording, tmp_path / "run")
+    assert not (folder / "measurements.npz").exists()
+    (warning,) = [
+        each
+        for each in json.loads((folder / "summary.json").read_text())["warnings"]
+        if "run_slam replay" in each
+    ]
+    assert "more than 2, too much was measured" in warning
