@@ -76,8 +76,8 @@ def path_from_above(paths: Paths, loops: list[Decision]) -> Markup:
             look = f'style="stroke:var(--{colour})" stroke-width="0.7" opacity="0.5"'
             starts = np.arange(2, 2 * len(pairs), 2)
             parts.append(axes.line(np.array(pairs).reshape(-1, 2), starts, look))
-    every = slice(None, None, -(-len(corrected) // _MOST_POINTS) or 1)
-    breaks = np.unique(paths.breaks // (every.step or 1))
+    every = np.arange(0, len(corrected), -(-len(corrected) // _MOST_POINTS) or 1)
+    breaks = paths.breaks_among(every)
     legend = [("odometry", "before"), ("with loops", "after")]
     for points, colour, look in (
         (truth, "truth", 'stroke-width="4" opacity="0.5"'),
@@ -102,8 +102,8 @@ def drift_along_time(paths: Paths, curves: list[Curve]) -> Markup:
     for lost_s in paths.lost_s.tolist():
         u = axes.at(np.array([lost_s, 0.0]))[0]
         parts.append(f'<path d="M{u:.1f} {_TOP}V{_HEIGHT - _BOTTOM}" style="stroke:var(--lost)"/>')
-    every = slice(None, None, -(-len(paths.times_s) // _MOST_POINTS) or 1)
-    breaks = np.unique(paths.breaks // (every.step or 1))
+    every = np.arange(0, len(paths.times_s), -(-len(paths.times_s) // _MOST_POINTS) or 1)
+    breaks = paths.breaks_among(every)
     for curve in curves:
         points = np.column_stack([paths.times_s, 100 * curve.lengths_m])[every]
         look = f'style="stroke:var(--{curve.colour})" stroke-width="1.4"'

@@ -31,8 +31,9 @@ def figures(
     kinds = Counter(loop.kind for loop in loops)
     kept = kinds[ACCEPTED] + kinds[FALSE]
     notes = []
-    if drift is not None and not drift.unjudged and kept:
-        notes.append(f"{kinds[FALSE] or 'none'} false by ground truth")
+    if judged := _judged(loops):
+        of = "" if judged >= kept else f" of {judged} judged"
+        notes.append(f"{kinds[FALSE] or 'none'}{of} false by ground truth")
     if kinds[OUTVOTED]:
         notes.append(f"{kinds[OUTVOTED]} more outvoted by the rest")
     tracked, frames = len(result.trajectory), len(result.trajectory) + len(result.untracked_s)
@@ -45,6 +46,12 @@ def figures(
         Figure("Loops accepted", f"{kept} of {len(loops)}", "; ".join(notes) or "candidates"),
         Figure("Frames tracked", f"{tracked} of {frames}", keyframes),
     )
+
+
+def _judged(loops: list[Decision]) -> int:
+    """Return of how many loops in use ground truth knows whether they are false."""
+    used = (loop for loop in loops if loop.kind in (ACCEPTED, FALSE))
+    return sum(loop.truth is not None and loop.truth.is_false is not None for loop in used)
 
 
 def _error(result: SlamResult, drift: DriftReport | None) -> Figure:
@@ -146,7 +153,7 @@ def _loops(drift: DriftReport | None, loops: list[Decision]) -> str:
         text += f"; which of them are false is not known: {drift.unjudged}"
     elif kept and drift is not None:
         text += f", {kinds[FALSE] or 'none'} of them false"
-        judged = sum(loop.truth is not None and loop.truth.is_false is not None for loop in loops)
+        judged = _judged(loops)
         if judged < kept:
             text += f" (ground truth can judge {judged})"
     text += "."

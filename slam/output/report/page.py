@@ -16,7 +16,7 @@ from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.output.decision import ACCEPTED, FALSE, Decision, decisions
 from slam.output.report.doubt import by_doubt, is_doubtful
 from slam.output.report.flat_drawings import drift_along_time, path_from_above
-from slam.output.report.headline import figures, headline, length
+from slam.output.report.headline import figures, headline
 from slam.output.report.losses import losses
 from slam.output.report.page_data import curves, page_data
 from slam.output.report.paths import gather
@@ -45,9 +45,10 @@ def write_report(
         LoopcloseError: the file cannot be written.
     """
     loops = decisions(result, drift)
-    listed = by_doubt(loops)[:_MOST_ROWS]
+    ordered = by_doubt(loops)
+    listed, others = ordered[:_MOST_ROWS], ordered[_MOST_ROWS:]
     paths = gather(result, drift)
-    data = page_data(result, drift, paths, listed)
+    data = page_data(result, drift, paths, listed, others)
     frames = len(result.trajectory) + len(result.untracked_s)
     page = (
         _environment(frames)
@@ -65,10 +66,6 @@ def write_report(
             path_drawing=path_from_above(paths, loops),
             drift_drawing=drift_along_time(paths, curves(result, drift)),
             loops=[(loop, is_doubtful(loop)) for loop in listed],
-            listed_s={
-                each.id: paths.elapsed_s(np.array(each.timestamp_s)) for each in result.keyframes
-            },
-            pictured=len(data["pictures"]),
             attempted=len(loops),
             used_otherwise=result.calibration is not None
             and not np.isclose(
@@ -98,7 +95,6 @@ def _environment(frames: int) -> jinja2.Environment:
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     environment.filters.update(
-        length=length,
         number=_number,
         percent=lambda share: f"{_number(100.0 * share, 1)} %",
         ms_per_frame=lambda seconds: 1000 * seconds / max(frames, 1),

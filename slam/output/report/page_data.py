@@ -18,6 +18,7 @@ from slam.types import FloatArray, IntArray
 
 _MOST_FRAMES = 4000  # that are drawn; more cannot be told apart
 _MOST_MATCHES = 120  # of a loop
+_GROUPS = (ACCEPTED, FALSE, OUTVOTED, "rejected")
 _SHADES = 254  # of a matrix; one more stands for unknown
 
 
@@ -65,9 +66,16 @@ def curves(result: SlamResult, drift: DriftReport | None) -> list[Curve]:
 
 
 def page_data(
-    result: SlamResult, drift: DriftReport | None, paths: Paths, loops: list[Decision]
+    result: SlamResult,
+    drift: DriftReport | None,
+    paths: Paths,
+    loops: list[Decision],
+    others: list[Decision],
 ) -> dict[str, Any]:
-    """Return what the script reads, as JSON; `loops` are those listed, in their order."""
+    """Return what the script reads, as JSON; `loops` are those listed, in their order.
+
+    Of the others there is no more than what figures of all loops are drawn from.
+    """
     chosen, shown = _drawn(paths)
     return {
         "frames": {
@@ -75,7 +83,7 @@ def page_data(
             "travelled_m": _floats(paths.travelled_m[chosen]),
             "stages": [_floats(stage[:, :3, 3]) for stage in shown.stages],
             "truth": _floats(shown.truth_m) if paths.in_truth_frame else None,
-            "breaks": shown.breaks.tolist(),
+            "breaks": paths.breaks_among(chosen).tolist(),
             "curves": [
                 {
                     "name": curve.name,
@@ -103,6 +111,11 @@ def page_data(
         },
         "map": map_points(result),
         "loops": [_loop(loop, result) for loop in loops],
+        "others": {
+            "pairs": _floats(np.array([(each.match.id, each.query.id) for each in others], float)),
+            "groups": [_GROUPS.index(_group(each)) for each in others],
+            "similarities": _floats(np.array([each.attempt.similarity for each in others], float)),
+        },
         "pictures": pictures(result, loops),
         "aspect": result.camera.width / result.camera.height,
         "matrices": _matrices(result, paths),
@@ -147,16 +160,19 @@ def _loop(loop: Decision, result: SlamResult) -> dict[str, Any]:
         agreeing, others = np.flatnonzero(check.inlier_mask), np.flatnonzero(~check.inlier_mask)
         kept = np.concatenate([_some(agreeing, _MOST_MATCHES), _some(others, _MOST_MATCHES // 2)])
         pixels, agree = check.pixels[kept] / size, check.inlier_mask[kept]
-    group = loop.kind if loop.kind in (ACCEPTED, FALSE, OUTVOTED) else "rejected"
     similarity = float(loop.attempt.similarity)
     return {
         "motion": _motion(loop),
         "pair": [int(loop.match.id), int(loop.query.id)],
-        "group": group,
+        "group": _group(loop),
         "similarity": similarity if np.isfinite(similarity) else None,
         "matches": packed(np.rint(pixels.clip(0.0, 1.0) * 65535).astype("<u2").tobytes()),
         "agreeing": int(agree.sum()),
     }
+
+
+def _group(loop: Decision) -> str:
+    return loop.kind if loop.kind in _GROUPS else _GROUPS[-1]
 
 
 def _motion(loop: Decision) -> str:

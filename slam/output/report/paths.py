@@ -83,6 +83,10 @@ class Paths:
             return np.zeros(0, np.int64)
         return np.flatnonzero(steps > _GAP_FACTOR * np.median(steps)) + 1
 
+    def breaks_among(self, chosen: IntArray) -> IntArray:
+        """Return which of some frames, in order, have a break between the one before and them."""
+        return np.unique(np.searchsorted(chosen, self.breaks))
+
     @property
     def travelled_m(self) -> FloatArray:
         """(N,) length of the corrected path until each frame."""

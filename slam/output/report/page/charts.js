@@ -19,13 +19,13 @@ const charts = (() => {
       y: along(floats(curve[measure])),
       customdata: order,
       line: { color: colour(curve.colour), width: 1.6 },
-      hovertemplate: "%{y:.2f} cm",
+      hovertemplate: `%{y:.2f} ${isPerMetre ? "cm/m" : "cm"}`,
     }));
     for (const group of ["accepted", "outvoted", "false"]) {
-      const numbers = data.loops
+      const numbers = everyLoop
         .map((_, i) => i)
         .filter(
-          (i) => data.loops[i].group === group && data.keyframes.frames[data.loops[i].pair[1]] >= 0,
+          (i) => everyLoop[i].group === group && data.keyframes.frames[everyLoop[i].pair[1]] >= 0,
         );
       if (!numbers.length) continue;
       traces.push({
@@ -33,7 +33,7 @@ const charts = (() => {
         mode: "markers",
         name: `${group} loop`,
         customdata: numbers.map((i) => ({ loop: i })),
-        x: numbers.map((i) => far()[data.keyframes.frames[data.loops[i].pair[1]]]),
+        x: numbers.map((i) => far()[data.keyframes.frames[everyLoop[i].pair[1]]]),
         y: numbers.map(() => 0),
         marker: {
           symbol: group === "accepted" ? "triangle-up" : "diamond",
@@ -41,7 +41,7 @@ const charts = (() => {
           color: colour(LOOP_COLOURS[group]),
         },
         text: numbers.map(
-          (i) => `${group} loop, keyframes ${data.loops[i].pair.join(" and ")}: click`,
+          (i) => `${group} loop, keyframes ${everyLoop[i].pair.join(" and ")}: click`,
         ),
         hovertemplate: "%{text}<extra></extra>",
         cliponaxis: false,
@@ -119,14 +119,14 @@ const charts = (() => {
       false: "diamond",
     };
     const traces = Object.keys(symbols).map((group) => {
-      const numbers = data.loops.map((_, i) => i).filter((i) => data.loops[i].group === group);
+      const numbers = everyLoop.map((_, i) => i).filter((i) => everyLoop[i].group === group);
       return {
         type: "scatter",
         mode: "markers",
         name: `${group} (${numbers.length})`,
         visible: numbers.length > 0,
-        x: numbers.map((i) => data.loops[i].pair[0]),
-        y: numbers.map((i) => data.loops[i].pair[1]),
+        x: numbers.map((i) => everyLoop[i].pair[0]),
+        y: numbers.map((i) => everyLoop[i].pair[1]),
         customdata: numbers,
         hovertemplate: "keyframes %{x} and %{y}: click<extra></extra>",
         marker: {
@@ -216,7 +216,7 @@ const charts = (() => {
   });
 
   function drawHistogram() {
-    const known = data.loops.filter((loop) => loop.similarity !== null);
+    const known = everyLoop.filter((loop) => loop.similarity !== null);
     const seen = [data.min_similarity, ...known.map((loop) => loop.similarity)];
     const low = Math.min(...seen) - 1e-3;
     const width = (Math.max(...seen) + 1e-3 - low) / 30;

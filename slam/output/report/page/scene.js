@@ -74,8 +74,14 @@ const scene = (() => {
       if (frame < 0) return null;
       const i = 3 * frame;
       const cm = 100 * Math.hypot(...[0, 1, 2].map((k) => xyz[i + k] - compared[i + k]));
-      return Number.isNaN(cm) ? 0 : cm;
+      return Number.isNaN(cm) ? null : cm;
     });
+  }
+
+  /** Return the frames to join: where errors are told by colour, those whose error is known. */
+  function pathOrder() {
+    if (el("colour").value !== "error") return order;
+    return order.map((frame) => (Number.isNaN(compared[3 * frame]) ? -1 : frame));
   }
 
   function pathLook(xyz) {
@@ -111,7 +117,7 @@ const scene = (() => {
       [
         TRACE.path,
         {
-          ...points(shown, order),
+          ...points(shown, pathOrder()),
           customdata: order,
           line: pathLook(xyz),
           name: `slider: ${STAGES[Math.round(stage)]}`,

@@ -15,6 +15,16 @@ const frames = {
   stages: data.frames.stages.map(floats), // x y z of each frame, in the order of STAGES
   truth: data.frames.truth && floats(data.frames.truth),
 };
+// Loops of which there are numbers alone come after those that are listed, and cannot be selected.
+const KINDS = ["accepted", "false", "outvoted", "rejected"];
+const [otherPairs, otherSimilarities] = [data.others.pairs, data.others.similarities].map(floats);
+const everyLoop = data.loops.concat(
+  data.others.groups.map((group, i) => ({
+    pair: [...otherPairs.subarray(2 * i, 2 * i + 2)],
+    group: KINDS[group],
+    similarity: Number.isNaN(otherSimilarities[i]) ? null : otherSimilarities[i],
+  })),
+);
 const STAGES = ["odometry", "without loops", "with loops"];
 const LOOP_COLOURS = { accepted: "after", false: "wrong", outvoted: "before", rejected: "before" };
 

@@ -66,3 +66,18 @@ def test_a_run_that_hardly_moved_has_drawings(make, keyframes: int) -> None:
     for drawing in (path_from_above(paths, []), drift_along_time(paths, curves(run.result, None))):
         assert ElementTree.fromstring(drawing).get("aria-label")
         assert "nan" not in drawing
+
+
+def test_a_line_is_interrupted_at_its_gap_where_every_nth_point_is_drawn(run, monkeypatch) -> None:
+    monkeypatch.setattr("slam.output.report.flat_drawings._MOST_POINTS", 40)  # every fifth
+    paths = gather(run.result, run.drift)
+    times_s = paths.times_s.copy()
+    times_s[102:] += 9.0
+    (*_, after) = curves(run.result, run.drift)
+    drawing = drift_along_time(replace(paths, times_s=times_s), [after])
+    line = re.search(r'class="line" d="([^"]*)"', drawing)[1]
+    starts, ends = (re.findall(rf"{letter}([\d.]+)", line) for letter in "ML")
+    assert len(starts) == 2
+    first_after = float(starts[1])
+    before = [float(u) for u in ends if float(u) < first_after]
+    assert first_after - max(before) > 50.0  # nothing is drawn across it

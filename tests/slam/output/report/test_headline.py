@@ -152,3 +152,18 @@ def test_an_error_that_nobody_knows_is_told_calmly(run) -> None:
     assert error.value == "not known"
     assert error.note == "no ground truth to compare with"
     assert "false" not in closed.note
+
+
+@pytest.mark.parametrize("judged", [0, 1])
+def test_of_loops_that_truth_cannot_judge_nothing_is_claimed(run, judged) -> None:
+    known = [one for one in run.drift.loops if one.is_false is not None]
+    loops = tuple(
+        one if any(one is each for each in known[:judged]) else replace(one, is_false=None)
+        for one in run.drift.loops
+    )
+    drift = replace(run.drift, loops=loops)
+    found = decisions(run.result, drift)
+    used = sum(each.attempt.rejection is None and each.truth.is_false is not None for each in found)
+    note = figures(run.result, drift, found)[1].note
+    assert ("false by ground truth" in note) == (used > 0)
+    assert (f"of {used} judged false" in note) == (used > 0)

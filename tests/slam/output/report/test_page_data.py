@@ -17,7 +17,7 @@ def numbers(packed: str, kind: str = "<f4") -> np.ndarray:
 
 
 def data_of(result, drift=None):
-    return page_data(result, drift, gather(result, drift), decisions(result, drift))
+    return page_data(result, drift, gather(result, drift), decisions(result, drift), [])
 
 
 def test_it_is_json_and_the_same_every_time(run) -> None:
@@ -66,9 +66,8 @@ def test_matches_are_where_they_were_seen_and_those_that_agree_come_first(run) -
 def test_a_loop_whose_matches_were_not_kept_has_none(run) -> None:
     loop = next(each for each in decisions(run.result, None) if each.inliers)
     bare = replace(loop.attempt, verification=loop.attempt.verification.without_evidence)
-    told = page_data(run.result, None, gather(run.result, None), [replace(loop, attempt=bare)])[
-        "loops"
-    ][0]
+    listed = [replace(loop, attempt=bare)]
+    told = page_data(run.result, None, gather(run.result, None), listed, [])["loops"][0]
     assert (told["matches"], told["agreeing"]) == ("", 0)
 
 
@@ -92,3 +91,29 @@ def test_matrices_are_shades_between_their_ends(run, altered) -> None:
     found = told["low"] + shades / 254 * (told["high"] - told["low"])
     known = np.isfinite(similarities)
     assert_allclose(found[known], similarities[known], atol=0.003)
+
+
+def test_figures_of_all_loops_know_those_that_are_not_listed(run) -> None:
+    loops = decisions(run.result, run.drift)
+    whole = data_of(run.result, run.drift)["loops"]
+    part = page_data(run.result, run.drift, gather(run.result, run.drift), loops[:2], loops[2:])
+    assert len(part["loops"]) == 2
+    others = part["others"]
+    assert numbers(others["pairs"]).reshape(-1, 2).tolist() == [each["pair"] for each in whole[2:]]
+    kinds = [("accepted", "false", "outvoted", "rejected")[each] for each in others["groups"]]
+    assert kinds == [each["group"] for each in whole[2:]]
+    found = numbers(others["similarities"])
+    assert_allclose(found, [each["similarity"] for each in whole[2:]], rtol=1e-6)
+
+
+def test_a_break_stays_one_where_only_every_nth_frame_is_drawn(run, monkeypatch) -> None:
+    monkeypatch.setattr(module, "_MOST_FRAMES", 50)
+    paths = gather(run.result, run.drift)
+    times_s = paths.times_s.copy()
+    times_s[103:] += 0.5  # less than from one drawn frame to the next four times
+    paths = replace(paths, times_s=times_s)
+    loops = decisions(run.result, run.drift)
+    frames = page_data(run.result, run.drift, paths, loops, [])["frames"]
+    (first,) = frames["breaks"]
+    drawn_s = numbers(frames["times_s"])
+    assert drawn_s[first - 1] < times_s[103] - 0.5 < times_s[103] <= drawn_s[first] + 1e-4
