@@ -10,7 +10,8 @@ import pytest
 from slam.__main__ import main
 from slam.evaluation.trajectory import write_tum
 from slam.geometry import se3
-from slam.types import Trajectory
+from slam.output.comparison import plots
+from slam.types import SlamError, Trajectory
 
 STAMPS_S = 100.0 + 0.1 * np.arange(80)
 WAY = np.linspace(0.0, 5.0, 80)[:, None] * np.array([0.3, -0.4, 0.5, 1.0, 0.9, 0.0])
@@ -146,6 +147,16 @@ def test_files_for_a_paper(make_run, compare, tmp_path):
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert compare(*typed)[0] == 0
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_tables_are_kept_where_nothing_can_be_drawn(make_run, compare, monkeypatch, tmp_path):
+    def fail(*_, **__):
+        raise SlamError("no drawings today")
+
+    monkeypatch.setattr(plots, "plots", fail)
+    assert compare(make_run("a"), "--out", "out")[0] == 2
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"table.csv", "table.tex", "figures.json"}
 
 
 def test_truths_that_differ_are_told(make_run, compare):
