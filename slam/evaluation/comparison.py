@@ -170,10 +170,11 @@ def _associated(
                 f"without times poses belong together by their row, but there are {len(estimate)}"
                 f" of the estimate and {len(truth)} of the truth; give files with times"
             )
-        matched, true = estimate, truth
+        rows = np.arange(len(estimate), dtype=np.float64)
+        matched, true = (Trajectory(rows, each.T_world_cam) for each in (estimate, truth))
     else:
-        rows, true_rows = associate(estimate, truth, tolerance_s)
-        matched, true = _rows(estimate, rows), _rows(truth, true_rows)
+        in_estimate, in_truth = associate(estimate, truth, tolerance_s)
+        matched, true = _rows(estimate, in_estimate), _rows(truth, in_truth)
         apart_s = np.abs(matched.timestamps_s - true.timestamps_s)
         most_apart_s = float(apart_s.max(initial=0.0))
         truth_covers, estimate_covers = coverage(estimate, truth), coverage(truth, estimate)

@@ -157,3 +157,9 @@ def test_errors_by_length_are_over_a_series_up_to_half_of_the_way():
     assert lengths_m[-3:] == [2.0, 5.0, 10.0] or lengths_m[-2:] == [2.0, 5.0]
     assert lengths_m[-1] <= 0.5 * found.association.truth_length_m < 2.5 * lengths_m[-1]
     assert len(lengths_m) == 8
+
+
+def test_where_there_are_no_times_poses_are_numbered():
+    corner = line((0, 0, 0), (1, 0, 0), (1, 1, 0))
+    late = Trajectory(1e9 + 0.1 * corner.timestamps_s, corner.T_world_cam)
+    assert compare(late, corner, CONFIG, by_row=True).times_s.tolist() == [0.0, 1.0, 2.0]
