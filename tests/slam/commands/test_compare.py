@@ -159,6 +159,13 @@ def test_tables_are_kept_where_nothing_can_be_drawn(make_run, compare, monkeypat
     assert names == {"table.csv", "table.tex", "figures.json"}
 
 
+def test_a_run_without_truth_is_smoothed_where_its_settings_say_so(make_run, compare):
+    nothing = {"truth": None, "ate_corrected_m": None, "settings": "[motion]\nsmooth = true\n"}
+    runs = [make_run("a"), make_run("b", **nothing), make_run("c", given_poses=80, **nothing)]
+    code, said = compare(*runs)
+    assert code == 0 and "b smoothed 0.0" in said and "c with loops 0.0" in said
+
+
 def test_truths_that_differ_are_told(make_run, compare):
     moved = Trajectory(STAMPS_S + 0.001, TRUTH.T_world_cam)
     code, said = compare(make_run("a"), make_run("b", truth=moved))
@@ -210,6 +217,7 @@ def test_a_folder_of_no_run_ends_in_one_line(make_run, compare, tmp_path, change
     [
         ([], "needs folders"),
         (["nowhere"], "summary.json is missing"),
+        (["x", "y/../x"], "named twice"),
         (["x", "--rpe", "2"], "no distance"),
     ],
 )
