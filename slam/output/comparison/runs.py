@@ -66,6 +66,15 @@ class FinishedRun:
         return float(value) if abs(value) < _LARGEST else None  # which no NaN is, either
 
     @property
+    def session_starts_s(self) -> list[float] | None:
+        """When each recording after the first starts; None where the summary does not tell."""
+        starts = self.summary.get("session_starts_s")
+        if isinstance(starts, list) and all(type(each) in (int, float) for each in starts):
+            return sorted(float(each) for each in starts if abs(each) < _LARGEST)
+        sessions = self.number("sessions")
+        return None if sessions is not None and sessions > 1.0 else []
+
+    @property
     def warnings(self) -> int | None:
         """How many it gave; None where the summary does not tell."""
         warnings = self.summary.get("warnings")

@@ -159,6 +159,13 @@ def test_tables_are_kept_where_nothing_can_be_drawn(make_run, compare, monkeypat
     assert names == {"table.csv", "table.tex", "figures.json"}
 
 
+def test_runs_of_several_recordings_say_where_their_breaks_are_not_known(make_run, compare):
+    unknown = "its summary.json does not tell when each starts"
+    first = make_run("a", sessions=2, session_starts_s=[104.0])
+    code, said = compare(first, make_run("b", sessions=2), make_run("c", sessions=1))
+    assert code == 0 and said.count(unknown) == 1 and "b: it is of several" in said
+
+
 def test_a_run_without_truth_is_smoothed_where_its_settings_say_so(make_run, compare):
     nothing = {"truth": None, "ate_corrected_m": None, "settings": "[motion]\nsmooth = true\n"}
     runs = [make_run("a"), make_run("b", **nothing), make_run("c", given_poses=80, **nothing)]
