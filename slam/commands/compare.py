@@ -81,6 +81,7 @@ def _write(folder: Path, found: "list[SideBySide]", shown: "list[Table]") -> Non
     }
     if rows:
         contents["table.csv"] = as_csv(rows)
+    write_files(folder, contents)
     for number, each in enumerate(found, start=1):
         name = re.sub(r"[^\w+.-]", "_", each.group.sequence)
         for what, some in (("", each.errors), ("distances-", each.distances)):
@@ -92,5 +93,4 @@ def _write(folder: Path, found: "list[SideBySide]", shown: "list[Table]") -> Non
             }
             drawn = plots(curves, has_times=True) if curves else {}
             prefix = f"{number}-{name}-{what}"
-            contents |= {f"{prefix}{file}": content for file, content in drawn.items()}
-    write_files(folder, contents)
+            write_files(folder, {f"{prefix}{file}": content for file, content in drawn.items()})

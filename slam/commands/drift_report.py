@@ -104,14 +104,14 @@ def _write(told: Arguments, table: "Table", comparison: "Comparison", has_times:
     from slam.output.comparison.tables import as_csv, as_latex
 
     names = {"estimate": str(told.estimate), "truth": str(told.truth)}
-    drawings = plots({told.estimate.name: comparison}, has_times=has_times)
     contents: dict[str, bytes | str] = {
         "table.csv": as_csv(csv_rows(names, comparison)),
         "table.tex": as_latex([table]),
         "figures.json": json.dumps({**names, **report(comparison)}, indent=2) + "\n",
-        **drawings,
     }
-    write_files(told.out or Path(), contents)
+    folder = told.out or Path()
+    write_files(folder, contents)
+    write_files(folder, plots({told.estimate.name: comparison}, has_times=has_times))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What both commands that compare trajectories are told: how to measure."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -52,7 +53,7 @@ class Measuring:
         return ComparisonConfig(Alignment(self.align), tolerance_s, deltas, self.all_pairs)
 
 
-def write_files(folder: Path, contents: dict[str, bytes | str]) -> None:
+def write_files(folder: Path, contents: Mapping[str, bytes | str]) -> None:
     """Write files by name into a folder, which is made where there is none.
 
     Raises:

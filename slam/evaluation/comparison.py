@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Any trajectory compared with another, and all that is needed to trust the figures."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from placerec.datasets.tum_lists import nearest
-from slam.evaluation.coverage import coverage, gaps
+from slam.evaluation.coverage import coverage, gaps, outside_breaks, sessions
 from slam.evaluation.pose_errors import (
     Delta,
     Pairs,
@@ -65,6 +66,8 @@ class Association:
         missing_s: (G, 2) seconds, the stretches of the truth's time without an estimate.
         span_s: the truth's time; NaN by row.
         estimate_length_m, truth_length_m: of the way through the matched poses.
+
+    The breaks between recordings are no part of any of these.
     """
 
     by_row: bool
@@ -121,14 +124,22 @@ class Comparison:
 
 
 def compare(
-    estimate: Trajectory, truth: Trajectory, config: ComparisonConfig, *, by_row: bool = False
+    estimate: Trajectory,
+    truth: Trajectory,
+    config: ComparisonConfig,
+    *,
+    by_row: bool = False,
+    session_starts_s: Sequence[float] = (),
 ) -> Comparison:
     """Compare an estimate with the truth, by time or, where lines have none, by row.
+
+    Of several recordings in a row, session_starts_s are the times at which all but the first
+    start: no way leads from one to the next, and no count of frames.
 
     Raises:
         SlamError: too few poses belong together, a scale cannot be told, or there is no time.
     """
-    association, matched, true = _associated(estimate, truth, config, by_row)
+    association, matched, true = _associated(estimate, truth, config, by_row, session_starts_s)
     T_truth_world, scale, best_scale = _alignment(matched, true, config.alignment)
     undetermined = ""
     if config.alignment in (Alignment.SE3, Alignment.SIM3):
@@ -137,6 +148,12 @@ def compare(
     T_truth_cam = T_truth_world @ scaled.T_world_cam
     off = se3.inverse(T_truth_cam) @ true.T_world_cam
     aligned_m, truth_m = T_truth_cam[:, :3, 3], true.T_world_cam[:, :3, 3]
+
+    def relative(delta: Delta, *, all_pairs: bool) -> RelativeErrors:
+        pairs = _pairs(scaled, delta, config, all_pairs, session_starts_s)
+        errors = relative_errors(scaled.T_world_cam, true.T_world_cam, pairs)
+        return RelativeErrors(delta, *errors)
+
     return Comparison(
         config=config,
         association=association,
@@ -149,17 +166,17 @@ def compare(
         truth_m=truth_m,
         ape_m=np.linalg.norm(aligned_m - truth_m, axis=1),
         ape_deg=np.zeros(0) if undetermined else np.rad2deg(se3.rotation_angle(off)),
-        rpe=tuple(
-            _relative(scaled, true, each, config, config.all_pairs) for each in config.deltas
-        ),
-        by_length=tuple(
-            _relative(scaled, true, each, config, True) for each in _lengths(association)
-        ),
+        rpe=tuple(relative(each, all_pairs=config.all_pairs) for each in config.deltas),
+        by_length=tuple(relative(each, all_pairs=True) for each in _lengths(association)),
     )
 
 
 def _associated(
-    estimate: Trajectory, truth: Trajectory, config: ComparisonConfig, by_row: bool
+    estimate: Trajectory,
+    truth: Trajectory,
+    config: ComparisonConfig,
+    by_row: bool,
+    starts_s: Sequence[float],
 ) -> tuple[Association, Trajectory, Trajectory]:
     tolerance_s = config.max_time_difference_s
     most_apart_s, span_s, missing_s = np.nan, np.nan, np.zeros((0, 2))
@@ -170,15 +187,19 @@ def _associated(
                 f"without times poses belong together by their row, but there are {len(estimate)}"
                 f" of the estimate and {len(truth)} of the truth; give files with times"
             )
-        matched, true = estimate, truth
+        rows = np.arange(len(estimate), dtype=np.float64)
+        matched, true = (Trajectory(rows, each.T_world_cam) for each in (estimate, truth))
     else:
-        rows, true_rows = associate(estimate, truth, tolerance_s)
-        matched, true = _rows(estimate, rows), _rows(truth, true_rows)
+        in_estimate, in_truth = associate(estimate, truth, tolerance_s)
+        matched, true = _rows(estimate, in_estimate), _rows(truth, in_truth)
         apart_s = np.abs(matched.timestamps_s - true.timestamps_s)
         most_apart_s = float(apart_s.max(initial=0.0))
-        truth_covers, estimate_covers = coverage(estimate, truth), coverage(truth, estimate)
-        missing_s = gaps(estimate, truth)
-        span_s = float(truth.timestamps_s[-1] - truth.timestamps_s[0])
+        of_truth = outside_breaks(truth, estimate, starts_s)
+        parts = sessions(of_truth, starts_s)
+        truth_covers = coverage(estimate, truth, starts_s)
+        estimate_covers = coverage(of_truth, estimate, starts_s)
+        missing_s = np.concatenate([missing_s, *(gaps(estimate, part) for part in parts)])
+        span_s = float(sum(part.timestamps_s[-1] - part.timestamps_s[0] for part in parts))
     needed = _MIN_ALIGNED if config.alignment in (Alignment.SE3, Alignment.SIM3) else 1
     if len(matched) < needed:
         raise SlamError(_too_few(estimate, truth, len(matched), needed, config))
@@ -192,10 +213,15 @@ def _associated(
         estimate_covers,
         missing_s,
         span_s,
-        path_length_m(matched),
-        path_length_m(true),
+        _way_m(matched, starts_s),
+        # By the estimate's times, so that each true pose is in the session of its own.
+        _way_m(Trajectory(matched.timestamps_s, true.T_world_cam), starts_s),
     )
     return association, matched, true
+
+
+def _way_m(trajectory: Trajectory, starts_s: Sequence[float]) -> float:
+    return sum(path_length_m(each) for each in sessions(trajectory, starts_s))
 
 
 def _rows(trajectory: Trajectory, rows: IntArray) -> Trajectory:
@@ -250,19 +276,28 @@ def _undetermined(matched: Trajectory, true: Trajectory) -> str:
     return ""
 
 
-def _relative(
-    estimate: Trajectory, truth: Trajectory, delta: Delta, config: ComparisonConfig, all_pairs: bool
-) -> RelativeErrors:
-    pairs = _pairs(estimate, delta, config, all_pairs)
-    return RelativeErrors(delta, *relative_errors(estimate.T_world_cam, truth.T_world_cam, pairs))
-
-
-def _pairs(estimate: Trajectory, delta: Delta, config: ComparisonConfig, all_pairs: bool) -> Pairs:
+def _pairs(
+    estimate: Trajectory,
+    delta: Delta,
+    config: ComparisonConfig,
+    all_pairs: bool,
+    starts_s: Sequence[float],
+) -> Pairs:
     if delta.unit == "s":
         return pairs_in_time(estimate.timestamps_s, delta.amount, config.max_time_difference_s)
+    first, second, before = [], [], 0
+    for session in sessions(estimate, starts_s):
+        pairs = _pairs_of_session(session, delta, all_pairs)
+        first.append(pairs.first + before)
+        second.append(pairs.second + before)
+        before += len(session)
+    return Pairs(np.concatenate(first), np.concatenate(second))
+
+
+def _pairs_of_session(session: Trajectory, delta: Delta, all_pairs: bool) -> Pairs:
     if delta.unit == "f":
-        return pairs_of_frames(len(estimate), int(delta.amount), all_pairs=all_pairs)
-    return pairs_along(estimate.T_world_cam[:, :3, 3], delta.amount, all_pairs=all_pairs)
+        return pairs_of_frames(len(session), int(delta.amount), all_pairs=all_pairs)
+    return pairs_along(session.T_world_cam[:, :3, 3], delta.amount, all_pairs=all_pairs)
 
 
 def _lengths(association: Association) -> list[Delta]:

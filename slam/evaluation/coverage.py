@@ -2,6 +2,7 @@
 """How much of the time of one trajectory another one has poses for."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -35,6 +36,23 @@ def gaps(estimate: Trajectory, truth: Trajectory) -> FloatArray:
     edges_s = np.concatenate([[start_s], stamps_s, [end_s]])
     is_gap = np.diff(edges_s) > MAX_GAP_S
     return np.column_stack([edges_s[:-1][is_gap], edges_s[1:][is_gap]])
+
+
+def outside_breaks(
+    truth: Trajectory, estimate: Trajectory, session_starts_s: Sequence[float] | FloatArray
+) -> Trajectory:
+    """Return a truth without what lies between a session's last estimate and the next session.
+
+    A session without any estimate keeps all of its truth: when it ended is not known.
+    """
+    is_kept = np.ones(len(truth), dtype=bool)
+    for start_s, next_s in pairwise([-np.inf, *session_starts_s]):
+        stamps_s = estimate.timestamps_s
+        of_session_s = stamps_s[(stamps_s >= start_s) & (stamps_s < next_s)]
+        end_s = of_session_s.max(initial=-np.inf)
+        if np.isfinite(end_s):
+            is_kept &= (truth.timestamps_s <= end_s) | (truth.timestamps_s >= next_s)
+    return Trajectory(truth.timestamps_s[is_kept], truth.T_world_cam[is_kept])
 
 
 def sessions(

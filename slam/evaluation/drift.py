@@ -145,8 +145,9 @@ def compare_drift(result: SlamResult, truth: Trajectory, config: EvaluationConfi
     """
     found = camera_truth(result.corrected, truth, config.max_time_difference_s)
     truth = found.trajectory
-    _, in_truth = associate(result.odometry, truth, config.max_time_difference_s)
-    compared = Trajectory(truth.timestamps_s[in_truth], truth.T_world_cam[in_truth])
+    rows, in_truth = associate(result.odometry, truth, config.max_time_difference_s)
+    # By the frames' times, so that each true pose is in the session of its frame.
+    compared = Trajectory(result.odometry.timestamps_s[rows], truth.T_world_cam[in_truth])
     starts_s = result.session_starts_s
     is_smoothed = result.unsmoothed is not None
     drift = DriftReport(

@@ -59,9 +59,9 @@ def in_words(loops: Sequence[Decision]) -> str | None:
     if most.helped_mm is not None:
         told = f"{kinds['helped']} of {len(records)} loops helped and {kinds['hurt']} hurt"
     else:
-        told = (
-            f"{kinds['contradicts'] or 'none'} of {len(records)} loops is at odds with the others"
-        )
+        odd = kinds["contradicts"]
+        verb = "are" if odd > 1 else "is"
+        told = f"{odd or 'none'} of {len(records)} loops {verb} at odds with the others"
     return (
         f"Left out one at a time, {told}; the one that moved the map most, from keyframe"
         f" {loop.query.id} to {loop.match.id}, {_SAID[most.verdict]}: it moved"

@@ -24,6 +24,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
 
     - camera: what the run took it to be; depth_scale in depth image units per metre.
     - sessions, segments: recordings, and those stretches without interruption that have a place.
+    - session_starts_s: when each session after the first starts, by the times of the images.
     - frames_tracked, frames_untracked, keyframes, links: counts.
     - frames_unjoined: those of the untracked that are in a part of the map that was not joined.
     - warnings: what to know before trusting the result, one sentence each.
@@ -65,6 +66,8 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     return {
         "camera": {**asdict(result.camera), "distortion": list(result.camera.distortion)},
         "sessions": 1 + len(result.session_starts_s),
+        # As the poses' times are written, so that a session's first pose stays in it.
+        "session_starts_s": [round(each, 6) for each in result.session_starts_s.tolist()],
         "segments": len({keyframe.segment for keyframe, is_placed in placed if is_placed}),
         "frames_tracked": len(result.trajectory),
         "frames_untracked": len(result.untracked_s),

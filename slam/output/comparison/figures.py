@@ -154,7 +154,7 @@ def _matched(comparison: Comparison) -> str:
         f" {association.matched} of {association.truth_poses} of the truth,"
     )
     if association.by_row:
-        return f"{counts} by row: the files have no times that would show whether that is right"
+        return f"{counts} by row: not both files have times that would show whether that is right"
     allowed_ms = 1e3 * comparison.config.max_time_difference_s
     apart_ms = 1e3 * association.most_apart_s
     return f"{counts} nearest in time, at most {apart_ms:.3g} ms apart ({allowed_ms:.3g} allowed)"

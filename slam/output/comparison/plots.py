@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from placerec.drawing import INK, TRUTH, WIDTH_IN, canvas, line_styles, png, svg
+from placerec.errors import printable
 from slam.evaluation.comparison import Comparison
 from slam.evaluation.pose_errors import root_mean_square
 from slam.output.comparison.figures import in_brief
@@ -75,8 +76,13 @@ def _drawn(
     with canvas(height_in + _LEGEND_LINE_IN * lines) as figure:
         axes = figure.add_subplot()
         paint(axes)
-        handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", fontsize=8.5)
+        drawn = axes.lines
+        # Names of files are set later, as they are: matplotlib would leave out a label that begins
+        # with _, and take what is between two $ for a formula.
+        legend = figure.legend(drawn, [""] * len(drawn), loc="outside upper left", fontsize=8.5)
+        for text, line in zip(legend.get_texts(), drawn, strict=True):
+            text.set_parse_math(False)
+            text.set_text(printable(str(line.get_label())))
         return {f"{name}.svg": svg(figure), f"{name}.png": png(figure)}
 
 

@@ -137,7 +137,7 @@ def _row(
     config: ComparisonConfig,
 ) -> Row:
     try:
-        found = compare(path, other, config)
+        found = compare(path, other, config, session_starts_s=run.session_starts_s or ())
     except SlamError as error:
         return Row(run, estimate, reference, None, str(error))
     if reference == TRUTH and not run.tells_rotations:
@@ -181,6 +181,7 @@ def in_full(found: SideBySide) -> dict[str, object]:
             {
                 "run": run.name,
                 "has_truth": run.truth is not None,
+                "session_starts_s": run.session_starts_s,
                 **{
                     key: run.number(key)
                     for key in ("loops_tried", "loops_accepted", "loops_judged", "loops_false")

@@ -66,6 +66,15 @@ class FinishedRun:
         return float(value) if abs(value) < _LARGEST else None  # which no NaN is, either
 
     @property
+    def session_starts_s(self) -> list[float] | None:
+        """When each recording after the first starts; None where the summary does not tell."""
+        starts = self.summary.get("session_starts_s")
+        if isinstance(starts, list) and all(type(each) in (int, float) for each in starts):
+            return sorted(float(each) for each in starts if abs(each) < _LARGEST)
+        sessions = self.number("sessions")
+        return None if sessions is not None and sessions > 1.0 else []
+
+    @property
     def warnings(self) -> int | None:
         """How many it gave; None where the summary does not tell."""
         warnings = self.summary.get("warnings")
@@ -93,9 +102,14 @@ def read_runs(folders: Sequence[Path]) -> list[Group]:
     """Read the folders of runs, those of one sequence together, in the order given.
 
     Raises:
-        LoopcloseError: a folder is of no finished run, or what it holds cannot be read.
+        LoopcloseError: a folder is of no finished run, or named twice, or what it holds cannot be
+            read.
     """
-    names = [folder.resolve().name for folder in folders]
+    places = [folder.resolve() for folder in folders]
+    for i, folder in enumerate(folders):
+        if places[i] in places[:i]:
+            raise SlamError(f"the run is named twice; name each once: {folder}")
+    names = [place.name for place in places]
     runs = [
         _read_run(folder, name if names.count(name) == 1 else str(folder))
         for folder, name in zip(folders, names, strict=True)
@@ -143,13 +157,25 @@ def _read_run(folder: Path, name: str) -> FinishedRun:
     for section, values in tables.items():
         if isinstance(values, dict):
             settings |= {f"{section}.{key}": str(value) for key, value in values.items()}
-    last = "smoothed" if summary.get("ate_smoothed_m") is not None else "with loops"
+    last = "smoothed" if _is_smoothed(summary, tables) else "with loops"
     files = {"odometry": "odometry.txt", last: "trajectory.txt"}
     trajectories = {each: _poses(folder / file) for each, file in files.items()}
     # Where the run itself could not be compared with the truth, nobody should.
     is_compared = summary.get("ate_corrected_m", 0.0) is not None and is_file(folder / _TRUTH)
     truth = _poses(folder / _TRUTH) if is_compared else None
     return FinishedRun(name, sequence, summary, settings, trajectories, truth)
+
+
+def _is_smoothed(summary: dict[str, object], settings: dict[str, object]) -> bool:
+    """Whether trajectory.txt is: the summary only tells of a run that was compared with truth.
+
+    Poses of an odometry from elsewhere are never smoothed, whatever the settings are.
+    """
+    if summary.get("ate_corrected_m") is not None:
+        return summary.get("ate_smoothed_m") is not None
+    motion = settings.get("motion")
+    is_asked_for = isinstance(motion, dict) and motion.get("smooth") is True
+    return is_asked_for and summary.get("given_poses") is None
 
 
 def _poses(file: Path) -> Trajectory:

@@ -16,6 +16,10 @@ _OF_SUMMARY = (
     "where only the trajectories' errors were kept, as of live and without loops, they are those of"
     " the run's own summary.json; it does not tell what is - or ?"
 )
+_BREAKS_UNKNOWN = (
+    "it is of several recordings, but its summary.json does not tell when each starts, so that the"
+    " breaks between them count as gaps, and pairs of RPE lead across them"
+)
 _LEFT_OUT = (
     "live and without loops: a run keeps no poses of them, and the figures in its summary.json are"
     " after another alignment, or within another time difference"
@@ -150,6 +154,8 @@ def _about_runs(group: Group) -> tuple[tuple[str, str], ...]:
         count = run.warnings
         said = "unknown" if count is None else f"{count}, in its report.html" if count else "none"
         notes.append(("warnings", f"{run.name}: {said}"))
+        if run.session_starts_s is None:
+            notes.append(("warning", f"{run.name}: {_BREAKS_UNKNOWN}"))
         if run.truth and not run.tells_rotations:
             unjudged = "its truth does not tell how the camera turned, so that only APE (m) is"
             notes.append(("warning", f"{run.name}: {unjudged}"))

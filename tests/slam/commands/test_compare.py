@@ -10,7 +10,8 @@ import pytest
 from slam.__main__ import main
 from slam.evaluation.trajectory import write_tum
 from slam.geometry import se3
-from slam.types import Trajectory
+from slam.output.comparison import plots
+from slam.types import SlamError, Trajectory
 
 STAMPS_S = 100.0 + 0.1 * np.arange(80)
 WAY = np.linspace(0.0, 5.0, 80)[:, None] * np.array([0.3, -0.4, 0.5, 1.0, 0.9, 0.0])
@@ -148,6 +149,30 @@ def test_files_for_a_paper(make_run, compare, tmp_path):
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
+def test_tables_are_kept_where_nothing_can_be_drawn(make_run, compare, monkeypatch, tmp_path):
+    def fail(*_, **__):
+        raise SlamError("no drawings today")
+
+    monkeypatch.setattr(plots, "plots", fail)
+    assert compare(make_run("a"), "--out", "out")[0] == 2
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"table.csv", "table.tex", "figures.json"}
+
+
+def test_runs_of_several_recordings_say_where_their_breaks_are_not_known(make_run, compare):
+    unknown = "its summary.json does not tell when each starts"
+    first = make_run("a", sessions=2, session_starts_s=[104.0])
+    code, said = compare(first, make_run("b", sessions=2), make_run("c", sessions=1))
+    assert code == 0 and said.count(unknown) == 1 and "b: it is of several" in said
+
+
+def test_a_run_without_truth_is_smoothed_where_its_settings_say_so(make_run, compare):
+    nothing = {"truth": None, "ate_corrected_m": None, "settings": "[motion]\nsmooth = true\n"}
+    runs = [make_run("a"), make_run("b", **nothing), make_run("c", given_poses=80, **nothing)]
+    code, said = compare(*runs)
+    assert code == 0 and "b smoothed 0.0" in said and "c with loops 0.0" in said
+
+
 def test_truths_that_differ_are_told(make_run, compare):
     moved = Trajectory(STAMPS_S + 0.001, TRUTH.T_world_cam)
     code, said = compare(make_run("a"), make_run("b", truth=moved))
@@ -199,6 +224,7 @@ def test_a_folder_of_no_run_ends_in_one_line(make_run, compare, tmp_path, change
     [
         ([], "needs folders"),
         (["nowhere"], "summary.json is missing"),
+        (["x", "y/../x"], "named twice"),
         (["x", "--rpe", "2"], "no distance"),
     ],
 )

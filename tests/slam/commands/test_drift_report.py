@@ -8,9 +8,12 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
+from placerec.errors import printable
 from slam.commands.drift_report import main
 from slam.datasets.pose_files import FORMATS
 from slam.geometry import se3
+from slam.output.comparison import plots
+from slam.types import SlamError
 
 COUNT = 60
 STAMPS_S = 1403636579.7 + 0.05 * np.arange(COUNT)
@@ -84,7 +87,7 @@ def test_a_file_of_any_format_gives_the_same_figures(drift_report):
     for estimate in (euroc(T_ESTIMATE), kitti(T_ESTIMATE)):
         code, said = drift_report(estimate, euroc(T_TRUTH))
         assert code == 0 and rmse(said, "APE (m)") == expected
-    assert "by row: the files have no times" in flat(said)
+    assert "by row: not both files have times" in flat(said)
 
 
 def test_nanoseconds_in_lines_like_those_of_tum_are_told_apart(drift_report):
@@ -133,6 +136,28 @@ def test_files_for_a_paper(drift_report, tmp_path):
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     drift_report(tum(T_ESTIMATE), tum(T_TRUTH), *asked)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", [r"a$\frac$b", "_old", "x\udcff", "<a&b>"])
+def test_a_file_of_any_name_is_in_the_legend(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    for file, poses in ((name, T_ESTIMATE), ("truth.txt", T_TRUTH)):
+        (tmp_path / file).write_text("".join(f"{line}\n" for line in tum(poses)))
+    assert main([name, "truth.txt", "--out", "report"]) == 0
+    for drawing in ("trajectories", "error_over_time", "rpe_over_length"):
+        root = ElementTree.parse(tmp_path / "report" / f"{drawing}.svg").getroot()
+        assert f"{printable(name)}: 60 of 60 poses" in "".join(root.itertext())
+
+
+def test_tables_are_kept_where_nothing_can_be_drawn(drift_report, monkeypatch, tmp_path):
+    def fail(*_, **__):
+        raise SlamError("no drawings today")
+
+    monkeypatch.setattr(plots, "plots", fail)
+    code, said = drift_report(tum(T_ESTIMATE), tum(T_TRUTH), "--out", "report")
+    assert code == 2 and "no drawings today" in said
+    names = {path.name for path in (tmp_path / "report").iterdir()}
+    assert names == {"table.csv", "table.tex", "figures.json"}
 
 
 def change(lines, number, line):

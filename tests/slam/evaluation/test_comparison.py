@@ -157,3 +157,32 @@ def test_errors_by_length_are_over_a_series_up_to_half_of_the_way():
     assert lengths_m[-3:] == [2.0, 5.0, 10.0] or lengths_m[-2:] == [2.0, 5.0]
     assert lengths_m[-1] <= 0.5 * found.association.truth_length_m < 2.5 * lengths_m[-1]
     assert len(lengths_m) == 8
+
+
+@pytest.mark.parametrize("all_pairs", [False, True], ids=["consecutive", "all pairs"])
+def test_the_break_between_two_recordings_is_no_gap_and_no_pair_leads_across_it(all_pairs):
+    _, truth = walk()
+    later = truth.timestamps_s + np.where(np.arange(600) < 200, 0.0, 300.0)
+    truth = Trajectory(later - 0.001, truth.T_world_cam)
+    kept = np.r_[0:190, 200:600]  # the truth goes on after the first recording
+    estimate = Trajectory(later[kept], truth.T_world_cam[kept])
+    config = replace(CONFIG, deltas=read_deltas("0.5m,7f"), all_pairs=all_pairs)
+    found = compare(estimate, truth, config, session_starts_s=[later[200]])
+    parts = [
+        compare(Trajectory(estimate.timestamps_s[rows], estimate.T_world_cam[rows]), truth, config)
+        for rows in (slice(0, 190), slice(190, None))
+    ]
+    for i, errors in enumerate(found.rpe):
+        expected = np.concatenate([each.rpe[i].translation_m for each in parts])
+        np.testing.assert_allclose(errors.translation_m, expected, atol=1e-9)
+    of = found.association
+    assert len(of.missing_s) == 0 and of.span_s < 30.0
+    assert of.truth_covers > 0.99 and of.estimate_covers > 0.99
+    ways_m = sum(each.association.truth_length_m for each in parts)
+    assert of.truth_length_m == pytest.approx(ways_m)
+
+
+def test_where_there_are_no_times_poses_are_numbered():
+    corner = line((0, 0, 0), (1, 0, 0), (1, 1, 0))
+    late = Trajectory(1e9 + 0.1 * corner.timestamps_s, corner.T_world_cam)
+    assert compare(late, corner, CONFIG, by_row=True).times_s.tolist() == [0.0, 1.0, 2.0]

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from slam.evaluation.coverage import coverage, gaps
+from slam.evaluation.coverage import coverage, gaps, outside_breaks
 from slam.types import Trajectory
 
 
@@ -38,3 +38,11 @@ def test_gaps_are_before_between_and_after_the_poses():
     estimate = at([*np.arange(4, 17) * 0.25, *np.arange(20, 33) * 0.25, 50.0])
     np.testing.assert_allclose(gaps(estimate, truth), [[0.0, 1.0], [4.0, 5.0], [8.0, 10.0]])
     assert len(gaps(truth, truth)) == 0
+
+
+def test_truth_in_the_breaks_between_sessions_is_left_out():
+    truth = at(np.arange(0, 61) * 0.5)
+    estimate = at([1.0, 4.0, 22.0, 30.0])  # nothing from 10 s to 20 s, where the second one was
+    kept = outside_breaks(truth, estimate, [10.0, 20.0]).timestamps_s
+    np.testing.assert_allclose(kept, [*np.arange(0, 9) * 0.5, *np.arange(20, 61) * 0.5])
+    assert len(outside_breaks(truth, estimate, [])) == len(truth)

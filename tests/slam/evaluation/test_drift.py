@@ -315,3 +315,5 @@ def test_the_way_between_sessions_is_no_part_of_the_path():
         run = result(path, session_starts_s=np.array(starts_s))
         report = compare_drift(run, path, CONFIG)
         assert report.truth_length_m == pytest.approx(length_m)
+        early = Trajectory(path.timestamps_s - 0.002, path.T_world_cam)
+        assert compare_drift(run, early, CONFIG).truth_length_m == pytest.approx(length_m)

@@ -50,6 +50,16 @@ def test_ground_truth_has_the_last_word_on_what_helped(run):
     assert "1 of 2 loops helped and 1 hurt" in sentence and "helped: it moved" in sentence
 
 
+def test_loops_at_odds_with_the_others_are_counted(run):
+    for chi_squares, said in (
+        ([5.0, 3.0, 3.0], "none of 3 loops is at odds"),
+        ([5.0, 20.0, 3.0], "1 of 3 loops is at odds"),
+        ([25.0, 20.0, 3.0], "2 of 3 loops are at odds"),
+    ):
+        result, _ = moving(run, [1.0, 4.0, 2.0], chi_squares)
+        assert said in in_words(decisions(result, None))
+
+
 def test_nothing_is_said_where_nothing_is_known(run):
     assert in_words(decisions(run.result, None)) is None
     assert counterfactual(run.result, None)["loops"] == []

@@ -118,10 +118,11 @@ def test_a_part_of_the_map_that_was_not_joined_is_counted():
         keyframes=keyframes,
         T_world_kf=T_world_kf,
         unjoined_s=np.array([9.0]),
-        session_starts_s=np.array([4.0]),
+        session_starts_s=np.array([4.0000004]),
     )
     summary = summarise(parted, None)
     assert (summary["sessions"], summary["segments"]) == (2, 2)
+    assert summary["session_starts_s"] == [4.0]  # as the poses' times are written
     assert (summary["frames_untracked"], summary["frames_unjoined"]) == (2, 1)
 
 

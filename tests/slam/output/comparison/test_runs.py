@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from slam.config import Config, LoopConfig, MapConfig
@@ -7,6 +10,7 @@ from slam.evaluation.drift import compare_drift
 from slam.output.comparison.rows import side_by_side
 from slam.output.comparison.runs import read_runs
 from slam.output.run_folder import write_run
+from slam.types import Trajectory
 
 CONFIG = Config(map=MapConfig(write=False))
 STRICT = CONFIG.model_copy(update={"loop": LoopConfig(min_similarity=0.5)})
@@ -39,6 +43,36 @@ def test_errors_of_the_files_are_those_that_the_run_told(written):
     ):
         assert told[estimate]["APE (m)"] == pytest.approx(error.ate_rmse_m, abs=1e-8)
         assert told[estimate]["RPE 1 s (m)"] == pytest.approx(error.rpe_translation_m, abs=1e-8)
+
+
+def test_a_run_of_two_recordings_is_compared_without_the_break_between_them(run, tmp_path):
+    stamps_s = run.result.trajectory.timestamps_s
+    start_s = stamps_s[len(stamps_s) // 2]
+
+    def parted(path):
+        later_s = np.where(path.timestamps_s < start_s - 1e-3, 0.0, 100.0)
+        return Trajectory(path.timestamps_s + later_s, path.T_world_cam)
+
+    paths = ("odometry", "live", "without_loops", "trajectory")
+    result = replace(
+        run.result,
+        session_starts_s=np.array([start_s + 100.0]),
+        **{name: parted(getattr(run.result, name)) for name in paths},
+    )
+    truth = parted(run.truth)
+    drift = replace(
+        run.drift,
+        **{
+            name: getattr(compare_drift(result, truth, CONFIG.evaluation), name)
+            for name in ("coverage", "truth_length_m", "truth")
+        },
+    )
+    write_run(tmp_path / "a", result, drift, truth, CONFIG, "room", COMMAND)
+    (group,) = read_runs([tmp_path / "a"])
+    rows = side_by_side(group, ComparisonConfig()).errors
+    (found,) = [row.comparison.association for row in rows if row.estimate == "odometry"]
+    assert found.truth_covers == pytest.approx(drift.coverage, abs=1e-6)
+    assert found.truth_length_m == pytest.approx(drift.truth_length_m, abs=1e-6)
 
 
 def test_what_a_run_told_is_left_out_where_it_was_measured_otherwise(written):
