@@ -69,7 +69,7 @@ class ReplayedSlam(Slam):
 
     def finish(self) -> SlamResult:
         """Return what the run found out until it was killed; how long it took is not known."""
-        return replace(super().finish(), elapsed_s=0.0, stage_seconds={})
+        return replace(super().finish(), elapsed_s=None, stage_seconds={})
 
     def _track(
         self, frame: Frame, T_given_cam: FloatArray | None, is_keyframe: bool
