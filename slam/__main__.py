@@ -225,7 +225,7 @@ def _finish(arguments: Arguments) -> None:
             if not slam.has_keyframes:
                 claimed.discard()
                 raise SlamError("the run was killed before it had tracked anything; start it again")
-            _tell(conclude(run, slam))
+            _tell(conclude(run, slam, is_whole=False))
 
 
 @contextmanager
