@@ -184,11 +184,11 @@ def _run(arguments: Arguments) -> None:
             slam.min_similarity,
             None if arguments.odometry is None else str(arguments.odometry.resolve()),
             sessions.warnings,
+            slam.certificate,
         )
         truth = sessions.ground_truth
         run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
-        if begin_outputs(claimed, settings, header.command, run.truth):
-            _log.warning("an earlier run into this folder was killed, and this one replaces it")
+        begin_outputs(claimed, settings, header.command, run.truth)
         journal = JournalWriter(claimed.unfinished, header, slam)
         feed = PoseFeed(slam, poses.trajectory if poses else None)
         with _kept(claimed.path), deferred_interrupts() as interrupted:
@@ -225,7 +225,7 @@ def _finish(arguments: Arguments) -> None:
             if not slam.has_keyframes:
                 claimed.discard()
                 raise SlamError("the run was killed before it had tracked anything; start it again")
-            _tell(conclude(run, slam))
+            _tell(conclude(run, slam, is_whole=False))
 
 
 @contextmanager

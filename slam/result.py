@@ -165,7 +165,7 @@ class SlamResult:
         threshold: how reliable the threshold is by what was met, None where nobody can tell.
         unjoined_s: those of the untracked frames that are in a part that was not joined.
         session_starts_s: timestamp of the first frame of each session after the first.
-        elapsed_s: wall time of the whole run, waiting for frames included.
+        elapsed_s: wall time of the whole run, waiting for frames included; None where unknown.
         unsmoothed: `trajectory` before it was smoothed, None where it was not. The other
             trajectories and `T_world_kf` never are.
         given: what became of an odometry from elsewhere, None where there is none.
@@ -190,7 +190,7 @@ class SlamResult:
     calibration: Calibration | None = None
     unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    elapsed_s: float = 0.0
+    elapsed_s: float | None = None
     unsmoothed: Trajectory | None = None
     given: GivenOdometry | None = None
     missing: tuple[str, ...] = ()

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.certificate import Certificate
 from placerec.errors import Salvage, cause_of
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
@@ -369,6 +370,11 @@ class Slam:
     def T_odom_kf(self) -> dict[int, FloatArray]:
         """Where tracking, which knows of no loop, put keyframes in the end: (4, 4) by id."""
         return self._tracked(self._back_end.keyframes)
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """What the recognizer was calibrated on, None where nobody says so."""
+        return self._back_end.loop_closer.certificate
 
     @property
     def _map(self) -> LandmarkMap:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`run_slam replay`: decide about the loops of a run again, without its images."""
 
-from argparse import ArgumentParser
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ from slam.config import Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
+    from slam.output.claimed_folder import ClaimedFolder
     from slam.output.measurements import Measurements
 
 PROG = "run_slam replay"
@@ -24,6 +26,7 @@ _AGAIN = (
     "decided again from what {} measured: the camera is where it was tracked, and there are no"
     " pictures and no point cloud"
 )
+_NOT_WHOLE = "the run stopped early: what its recordings show later is not in this"
 _DESCRIPTION = """Decide about the loops of a run again, with other settings, without its images.
 
   run_slam replay runs/fr1_desk                                  the same decisions again
@@ -80,15 +83,12 @@ def parse(typed: list[str]) -> Arguments:
     Raises:
         LoopcloseError: something is wrong with it, or the settings cannot be read.
     """
-    finder = ArgumentParser(add_help=False, allow_abbrev=False)
-    finder.add_argument("--config", type=Path, nargs="?")
-    named: Path | None = finder.parse_known_args(typed)[0].config
-    folder = Path(next((each for each in typed if not each.startswith("-")), "."))
-    usual = folder / "settings.toml"
-    defaults = Config()
-    if named is not None or usual.is_file():
-        defaults = load_config(named or usual)
+    first = _parse(typed, Config())  # tells the run, whose settings are what is not typed
+    path = first.config or first.run / "settings.toml"
+    return _parse(typed, load_config(path)) if first.config or path.is_file() else first
 
+
+def _parse(typed: list[str], defaults: Config) -> Arguments:
     def read(left: list[str]) -> Arguments:
         default = Arguments(run=tyro.MISSING, settings=defaults)
         return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left, default=default)
@@ -122,26 +122,37 @@ def _decide(arguments: Arguments, measured: "Measurements") -> None:
     from slam.output.run_folder import begin_outputs
 
     run, journal, settings = arguments.run, measured.journal, arguments.settings
-    folder = arguments.out or run.with_name(f"{run.resolve().name}-replay")
-    if folder.resolve() == run.resolve():
+    here = run.resolve()  # `.` has no name
+    folder = arguments.out or here.with_name(f"{here.name}-replay")
+    if folder.resolve() == here:
         raise SlamError(f"--out is the run that is decided again; choose another folder: {folder}")
-    told = (*journal.header.warnings, _AGAIN.format(run))
+    partly = () if journal.is_whole else (_NOT_WHOLE,)
+    told = (*journal.header.warnings, *partly, _AGAIN.format(run))
     header = replace(journal.header, command=shlex.join([*PROG.split(), str(run)]))
     poses = poses_again(journal, settings)
     with ClaimedFolder(folder) as claimed:
         claimed.refuse_foreign(OUTPUTS)
         begin_outputs(claimed, settings, header.command, measured.truth)
-        try:
-            slam = replayed(journal, settings, poses, measured.remembered)
-        except LoopcloseError:
-            raise
-        except Exception as error:  # numbers that no run measures
-            raise SlamError(
-                f"what the run measured makes no sense: {cause_of(error)}: {run}"
-            ) from error
         truth = measured.truth
         asked = Run(claimed, header, settings, truth, poses, lambda: told, keeps=False)
-        ended = conclude(asked, slam)
+        with _all_or_nothing(claimed, run):
+            slam = replayed(journal, settings, poses, measured.remembered)
+            ended = conclude(asked, slam)
         say(ended.table)
         if ended.problems:
             raise LoopcloseError("; ".join(ended.problems))
+
+
+@contextmanager
+def _all_or_nothing(claimed: "ClaimedFolder", run: Path) -> Iterator[None]:
+    """Leave nothing unfinished where a replay fails: there is no journal to finish it by."""
+    try:
+        yield
+    except BaseException as error:
+        claimed.discard()
+        known = isinstance(error, LoopcloseError | MemoryError)
+        if known or not isinstance(error, Exception):
+            raise
+        raise SlamError(  # of numbers that no run measures
+            f"what the run measured makes no sense: {cause_of(error)}: {run}"
+        ) from error

@@ -44,6 +44,7 @@ class LoopCloser:
 
     Attributes:
         min_similarity: from which candidates are verified now.
+        certificate: what the recognizer was calibrated on, None where nobody says so.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class LoopCloser:
     ) -> None:
         self._camera = camera
         self._recognizer = CheckedRecognizer(recognizer, limit_s=loop_config.recognizer_limit_s)
-        self._certificate = certificate_of(recognizer)
+        self.certificate = certificate_of(recognizer)
         self._loop_config = loop_config
         self._verification_config = verification_config
         self._keyframes: list[Keyframe] = []
@@ -167,7 +168,7 @@ class LoopCloser:
         if not is_free or not 0 < count == len(self._embeddings) == len(the_map.keyframes):
             return None
         own = self._recognizer.min_similarity
-        return Remembered(own, self._certificate, np.stack(self._embeddings), the_map)
+        return Remembered(own, np.stack(self._embeddings), the_map)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""
@@ -182,14 +183,14 @@ class LoopCloser:
 
         What it met are the `similarities` of now.
         """
-        if self._certificate is None:
+        if self.certificate is None:
             return None
         pairs, shown = [np.empty(0, np.float32)], compared(len(self._keyframes))
         for k, row in zip(shown, similarities, strict=True):
             before = np.arange(0, k, shown.step)
             looked_at = self._is_candidate(before, k, self._segments[k], self._linked_ids[k])
             pairs.append(row[: len(looked_at)][looked_at])
-        return Calibration(self._certificate, np.concatenate(pairs), shown.step)
+        return Calibration(self.certificate, np.concatenate(pairs), shown.step)
 
     def _is_candidate(
         self, numbers: IntArray, number: int, segment: int, linked_ids: Sequence[int]

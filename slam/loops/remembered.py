@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import Certificate
 from slam.mapping.landmark_map import LandmarkMap
 
 
@@ -16,12 +15,10 @@ class Remembered:
 
     Attributes:
         min_similarity: the recognizer's own.
-        certificate: what it was calibrated on, None where nobody says so.
         embeddings: (K, D) float32, of unit length.
         the_map: its keyframes have their features.
     """
 
     min_similarity: float
-    certificate: Certificate | None
     embeddings: NDArray[np.float32]
     the_map: LandmarkMap

@@ -70,10 +70,12 @@ def conclude(
     slam: Slam,
     stopped: BaseException | None = None,
     unwritten: Exception | None = None,
+    is_whole: bool = True,
 ) -> Ended:
     """Finish a run, compare it with the truth and write its outputs, as far as each can be done.
 
-    It may have been stopped by something, and its journal may have failed to be written.
+    It may have been stopped by something, and its journal may have failed to be written. It is
+    whole if it came to the end of its recordings, which one that was killed did not.
 
     Raises:
         LoopcloseError: nothing was tracked.
@@ -87,7 +89,7 @@ def conclude(
     measured = None
     if run.keeps and not unwritten:
         try:
-            measured = _measured(run, slam, is_whole=stopped is None)
+            measured = _measured(run, slam, is_whole and stopped is None)
         except Exception as error:  # the run is worth more than that it can be decided again
             why = cause_of(error)
             doubts = (*doubts, f"run_slam replay cannot decide about this run again: {why}")
@@ -137,7 +139,9 @@ def _measured(run: Run, slam: Slam, is_whole: bool) -> Measurements:
             f"of {keyframes} keyframes that were tracked {len(T_odom_kf)} were taken in"
         )
     journal.T_odom_kf.update(T_odom_kf)
-    return Measurements(replace(journal, is_whole=is_whole), slam.remembered, run.truth)
+    header = replace(journal.header, warnings=run.doubts())
+    journal = replace(journal, header=header, is_whole=is_whole)
+    return Measurements(journal, slam.remembered, run.truth)
 
 
 def _judge(

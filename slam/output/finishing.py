@@ -20,12 +20,11 @@ from slam.loops.loop_closure import LoopCloser
 from slam.loops.remembered import Remembered
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
-from slam.output.journal import Journal
+from slam.output.journal import Header, Journal
 from slam.result import Calibration, SlamResult, ThresholdFit, compared
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
-    Camera,
     FloatArray,
     Frame,
     Keyframe,
@@ -52,7 +51,7 @@ class ReplayedSlam(Slam):
         self._journal = journal
         self._remembered = remembered
         self._back_end.loop_closer = (
-            _RememberedLoops(camera, remembered, config)
+            _RememberedLoops(journal.header, remembered, config)
             if remembered
             else _RecordedLoops(journal, config)
         )
@@ -69,7 +68,7 @@ class ReplayedSlam(Slam):
 
     def finish(self) -> SlamResult:
         """Return what the run found out until it was killed; how long it took is not known."""
-        return replace(super().finish(), elapsed_s=0.0, stage_seconds={})
+        return replace(super().finish(), elapsed_s=None, stage_seconds={})
 
     def _track(
         self, frame: Frame, T_given_cam: FloatArray | None, is_keyframe: bool
@@ -142,10 +141,10 @@ class _Nobody:
 class _RememberedLoops(LoopCloser):
     """Looks for loops by the embeddings of a run, one keyframe after the other."""
 
-    def __init__(self, camera: Camera, remembered: Remembered, config: Config) -> None:
+    def __init__(self, header: Header, remembered: Remembered, config: Config) -> None:
         nobody = _Nobody(remembered.min_similarity)
-        super().__init__(camera, nobody, config.loop, config.verification)
-        self._certificate = remembered.certificate
+        super().__init__(header.camera, nobody, config.loop, config.verification)
+        self.certificate = header.certificate
         self._left = iter(remembered.embeddings)
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -159,6 +158,7 @@ class _RecordedLoops(LoopCloser):
         header = journal.header
         nobody = _Nobody(header.min_similarity)
         super().__init__(header.camera, nobody, config.loop, config.verification)
+        self.certificate = header.certificate
         self._attempts = journal.attempts
         self._count = 0
 
@@ -179,7 +179,9 @@ class _RecordedLoops(LoopCloser):
         return np.full((size, size), np.nan, np.float32)
 
     def calibration(self, similarities: NDArray[np.float32]) -> Calibration | None:
-        return None
+        if self.certificate is None:
+            return None
+        return Calibration(self.certificate, np.empty(0, np.float32))
 
     def threshold(self) -> ThresholdFit | None:
         return None

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from placerec.certificate import Certificate
 from placerec.errors import LoopcloseError, cause_of
 from placerec.files import check_file
 from slam.evaluation.trajectory import tum_lines
@@ -46,7 +47,8 @@ class Header:
         camera: the camera.
         min_similarity: from which its loop candidates are verified.
         odometry: file of the poses from elsewhere, None without.
-        warnings: what is to be said of the recordings.
+        warnings: what is to be said of the recordings; before a run's end, what is known so far.
+        certificate: what the recognizer was calibrated on, None where nobody says so.
     """
 
     title: str
@@ -55,6 +57,7 @@ class Header:
     min_similarity: float
     odometry: str | None
     warnings: tuple[str, ...]
+    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ class JournalWriter:
     def __enter__(self) -> Self:
         """Begin the files."""
         try:
-            self._append(JOURNAL, [json.dumps(asdict(self._header))])
+            self._append(JOURNAL, [json.dumps(told_of(self._header))])
             self._append("trajectory.txt", tum_lines(_trajectory([]))[:1])
             self._append("loops.jsonl", [])
             self._thread.start()
@@ -205,6 +208,12 @@ def read_journal(folder: Path) -> Journal:
     return journal
 
 
+def told_of(header: Header) -> dict[str, Any]:
+    """Return what a journal tells of a run, for JSON."""
+    certificate = header.certificate and header.certificate.model_dump(mode="json")
+    return {**asdict(header), "certificate": certificate}
+
+
 def header_of(told: dict[str, Any]) -> Header:
     """Return the header that a journal tells.
 
@@ -212,7 +221,9 @@ def header_of(told: dict[str, Any]) -> Header:
         KeyError, TypeError, ValueError: it is none.
     """
     camera = Camera(**{**told["camera"], "distortion": tuple(told["camera"]["distortion"])})
-    return Header(**{**told, "camera": camera, "warnings": tuple(told["warnings"])})
+    certificate = told.get("certificate") and Certificate.model_validate(told["certificate"])
+    warnings = tuple(told["warnings"])
+    return Header(**{**told, "camera": camera, "warnings": warnings, "certificate": certificate})
 
 
 def blank_preview(camera: Camera) -> Frame:

@@ -6,21 +6,20 @@
 
 import io
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import Certificate
 from placerec.errors import cause_of
 from placerec.files import arrays_of, read_bytes, write_atomically
 from slam.config import Config
 from slam.loops.remembered import Remembered
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.stored_map import Arrays, arrays_of_map, map_of_arrays
-from slam.output.journal import Header, Journal, blank_preview, header_of
+from slam.output.journal import Header, Journal, blank_preview, header_of, told_of
 from slam.output.journal_lines import attempt_line, attempt_of
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
@@ -66,7 +65,7 @@ def write_measurements(path: Path, measured: Measurements) -> None:
         LoopcloseError: the file cannot be written.
     """
     journal, remembered = measured.journal, measured.remembered
-    about: dict[str, Any] = {"version": VERSION, **asdict(journal.header)}
+    about: dict[str, Any] = {"version": VERSION, **told_of(journal.header)}
     about["is_whole"] = journal.is_whole
     arrays = {**_of_frames(journal), **_of_keyframes(journal)}
     if measured.truth is not None:
@@ -74,8 +73,6 @@ def write_measurements(path: Path, measured: Measurements) -> None:
         arrays["truth_T_world_cam"] = measured.truth.T_world_cam[:, :3]
     if remembered:
         about["recognizer_min_similarity"] = remembered.min_similarity
-        if remembered.certificate:
-            about["certificate"] = remembered.certificate.model_dump(mode="json")
         arrays |= {"embedding": remembered.embeddings, **arrays_of_map(remembered.the_map)}
     else:
         attempts = [each for some in journal.attempts.values() for each in some]
@@ -113,7 +110,6 @@ def read_measurements(path: Path, config: Config) -> Measurements:
 
 def _measurements(arrays: Arrays, about: dict[str, Any], config: Config) -> Measurements:
     own = about.pop("recognizer_min_similarity", None)
-    certificate = about.pop("certificate", None)
     is_whole = bool(about.pop("is_whole"))
     header = header_of(about)
     T_odom_kf = _whole(arrays["keyframe_T_odom_end"])
@@ -125,8 +121,7 @@ def _measurements(arrays: Arrays, about: dict[str, Any], config: Config) -> Meas
         )
         the_map = map_of_arrays(arrays, T_odom_kf, empty)
         features = [each.features for each in the_map.keyframes]
-        believed = certificate and Certificate.model_validate(certificate)
-        remembered = Remembered(float(own), believed, arrays["embedding"], the_map)
+        remembered = Remembered(float(own), arrays["embedding"], the_map)
         if len(remembered.embeddings) != len(features):
             raise ValueError("embeddings")
     journal = _journal(arrays, header, features)

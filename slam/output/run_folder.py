@@ -2,6 +2,7 @@
 """The folder of one run: what is written there, in which order."""
 
 import json
+import logging
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,7 @@ from slam.output.summary import summarise
 from slam.result import GivenOdometry, SlamResult
 from slam.types import Link, RelativePose, SlamError, Trajectory
 
+_log = logging.getLogger(__name__)
 _Writer = Callable[[Path], None]
 
 
@@ -107,19 +109,19 @@ def write_outputs(
 
 def begin_outputs(
     claimed: ClaimedFolder, config: Config, command: str, truth: Trajectory | None
-) -> bool:
+) -> None:
     """Begin a run with those of its outputs that are known; it is finished with them if killed.
 
-    Return whether there were some of an earlier run that was killed, which are gone.
+    Those of an earlier run that was killed are gone then, with a warning.
 
     Raises:
         LoopcloseError: they cannot be written.
     """
-    had_left = claimed.start()
+    if claimed.start():
+        _log.warning("an earlier run into this folder was killed, and this one replaces it")
     write_atomically(claimed.unfinished / "settings.toml", settings_file(command, config))
     if truth is not None:
         write_tum(claimed.unfinished / "groundtruth.txt", truth)
-    return had_left
 
 
 def settings_file(command: str, config: Config) -> str:

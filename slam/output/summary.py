@@ -55,7 +55,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind
       it; matched_share is that of the tracked frames.
     - elapsed_s, frames_per_second, stage_seconds, stage_ms_per_frame: wall time, of the run and of
-      its stages, some of which overlap.
+      its stages, some of which overlap; None, and no stages, where it is not known.
     """
     placed = zip(result.keyframes, np.isfinite(result.T_world_kf[:, 0, 0]), strict=True)
     rejections = [attempt.rejection for attempt in result.attempts]
@@ -93,7 +93,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "certificate": _told(calibration.certificate) if calibration else None,
         **_errors(drift),
         "elapsed_s": result.elapsed_s,
-        "frames_per_second": frames / result.elapsed_s if result.elapsed_s > 0.0 else None,
+        "frames_per_second": frames / result.elapsed_s if result.elapsed_s else None,
         "stage_seconds": dict(result.stage_seconds),
         "stage_ms_per_frame": {
             stage: 1000.0 * seconds / frames for stage, seconds in result.stage_seconds.items()

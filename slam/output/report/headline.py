@@ -39,7 +39,7 @@ def figures(
     tracked, frames = len(result.trajectory), len(result.trajectory) + len(result.untracked_s)
     count = len(result.keyframes)
     keyframes = f"{count} keyframe" + ("" if count == 1 else "s")
-    if result.elapsed_s > 0.0:
+    if result.elapsed_s:
         keyframes += f", {1000.0 * result.elapsed_s / max(frames, 1):.1f} ms per frame"
     return (
         _error(result, drift),

@@ -12,7 +12,10 @@ import pytest
 
 from slam import read_ledger
 from slam.__main__ import main
+from slam.commands.replay import parse
+from slam.config import Config
 from slam.loops import loop_closure
+from slam.output.run_folder import settings_file
 
 DECIDED = ("trajectory.txt", "odometry.txt", "keyframes.txt", "loops.jsonl", "pose_graph.g2o")
 QUICK = ("--map.write", "False", "--recognizer", "gradients")
@@ -41,6 +44,26 @@ def without_features(recording, tmp_path_factory):
 def replay(folder, *settings):
     assert main(["replay", str(folder), *settings]) == 0
     return folder.with_name("run-replay")
+
+
+def killed(recording, folder):
+    """Return the folder of a run that was killed before its outputs were made."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.output.ending.conclude", failing(KeyboardInterrupt))
+        patch.setattr(sys, "path", list(sys.path))
+        assert main([str(recording), *QUICK, "--out", str(folder)]) == 2
+    return folder
+
+
+def failing(error):
+    def fail(*_):
+        raise error
+
+    return fail
+
+
+def warnings(folder):
+    return json.loads((folder / "summary.json").read_text())["warnings"]
 
 
 def refusal(capsys, *typed):
@@ -127,6 +150,66 @@ def change(path, **arrays):
     np.savez(path, **content | changed)
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_the_settings_of_the_run_hold_wherever_it_is_named(tmp_path, is_first):
+    config = Config()
+    loop = config.loop.model_copy(update={"candidates": 7})
+    text = settings_file("run_slam room", config.model_copy(update={"loop": loop}))
+    (tmp_path / "settings.toml").write_text(text)
+    flags = ["--verification.min-inliers", "21"]
+    told = parse([str(tmp_path), *flags] if is_first else [*flags, str(tmp_path)])
+    assert told.run == tmp_path and told.settings.verification.min_inliers == 21
+    assert told.settings.loop.candidates == 7
+
+
+def test_what_reading_found_is_told_again(short_recording, tmp_path):
+    folder = short_recording(8)
+    sorted((folder / "rgb").iterdir())[3].write_bytes(b"")
+    ran = run(folder, tmp_path / "run")
+    (skipped,) = [each for each in warnings(ran) if "skipped" in each]
+    again = warnings(replay(ran))
+    assert skipped in again and not any("stopped early" in each for each in again)
+
+
+def test_a_killed_run_that_was_finished_is_not_whole(short_recording, tmp_path):
+    folder = killed(short_recording(8), tmp_path / "run")
+    assert main([str(folder), "--finish"]) == 0
+    again = replay(folder)
+    assert any("the run stopped early" in each for each in warnings(again))
+    summary = json.loads((again / "summary.json").read_text())
+    assert summary["elapsed_s"] is None and summary["frames_per_second"] is None
+
+
+@pytest.mark.parametrize(("inside", "named"), [("run", "."), ("run/deeper", "..")])
+def test_the_folder_it_stands_in_is_named_by_its_name(
+    short_recording, tmp_path, monkeypatch, inside, named
+):
+    run(short_recording(8), tmp_path / "run")
+    (tmp_path / inside).mkdir(exist_ok=True)
+    monkeypatch.chdir(tmp_path / inside)
+    assert main(["replay", named]) == 0
+    assert (tmp_path / "run-replay" / "trajectory.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [(ValueError("bad numbers"), "makes no sense: ValueError"), (KeyboardInterrupt(), "interr")],
+)
+def test_of_a_replay_that_fails_nothing_is_left(whole, tmp_path, monkeypatch, capsys, error, told):
+    monkeypatch.setattr("slam.output.finishing.ReplayedSlam.finish", failing(error))
+    (tmp_path / "out").mkdir()
+    assert told in refusal(capsys, whole, "--out", tmp_path / "out")
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_killed_run_that_is_replaced_is_told(short_recording, tmp_path, capsys):
+    recording = short_recording(8)
+    ran, unfinished = run(recording, tmp_path / "run"), killed(recording, tmp_path / "killed")
+    capsys.readouterr()
+    replay(ran, "--out", str(unfinished))
+    assert "was killed, and this one replaces it" in capsys.readouterr().err
+
+
 def test_a_recording_called_replay_is_reached_by_its_path(recording, tmp_path, monkeypatch):
     shutil.copytree(recording, tmp_path / "replay")
     monkeypatch.chdir(tmp_path)
@@ -147,9 +230,5 @@ def test_of_a_run_of_hours_nothing_is_kept_and_that_is_said(recording, tmp_path,
     monkeypatch.setattr("slam.output.ending._MOST_MEASURED", 2)
     folder = run(recording, tmp_path / "run")
     assert not (folder / "measurements.npz").exists()
-    (warning,) = [
-        each
-        for each in json.loads((folder / "summary.json").read_text())["warnings"]
-        if "run_slam replay" in each
-    ]
+    (warning,) = [each for each in warnings(folder) if "run_slam replay" in each]
     assert "more than 2, too much was measured" in warning

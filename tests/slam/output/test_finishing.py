@@ -44,6 +44,10 @@ def test_a_run_is_finished_without_its_images(both, T_first_cam):
     assert NOT_ADJUSTED in again.warnings and not again.missing and not again.has_images
 
 
+def test_how_long_the_run_took_is_not_known(both):
+    assert both[1].elapsed_s is None and not both[1].stage_seconds
+
+
 def test_its_loops_are_weighed_again(both):
     result, again = both
     pairs = [(each.query_id, each.match_id) for each in result.attempts]

@@ -1,16 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from placerec.recognizers.gradients import GradientRecognizer
+from slam.config import Config
 from slam.evaluation.trajectory import read_tum
 from slam.output import journal
 from slam.output.claimed_folder import JOURNAL
+from slam.output.finishing import replayed
 from slam.output.journal import Header, JournalWriter, read_journal
 from slam.output.ledger import read_ledger
+from slam.output.measurements import (
+    MEASUREMENTS,
+    Measurements,
+    read_measurements,
+    write_measurements,
+)
 from slam.system import Slam
 from slam.types import Rejection, SlamError
 
@@ -74,6 +83,20 @@ def test_loops_are_read_back(kept):
 def test_the_header_is_read_back(kept, sequence):
     folder, _, _ = kept
     assert read_journal(folder).header == header_of(sequence)
+
+
+def test_the_certificate_is_kept_without_features_too(kept, tmp_path, certified):
+    folder, _, slam = kept
+    certificate = certified.result.calibration.certificate
+    header = replace(read_journal(folder).header, certificate=certificate)
+    with JournalWriter(tmp_path, header, slam):
+        pass
+    journal = read_journal(tmp_path)
+    path = tmp_path / MEASUREMENTS
+    write_measurements(path, Measurements(journal, None, None))
+    for read in (journal, read_measurements(path, Config()).journal):
+        assert read.header == header
+        assert replayed(read, Config(), None).certificate == certificate
 
 
 def test_trajectory_and_ledger_so_far_are_those_formats(kept, T_first_cam):

@@ -175,6 +175,12 @@ def test_a_run_is_as_long_as_its_clock_says_though_its_stages_overlap(page: Page
     assert "the whole run 20.00 4.00" in page.text
 
 
+def test_where_no_time_is_known_none_is_told(altered) -> None:
+    page = page_of(altered(elapsed_s=None, stage_seconds={}))
+    assert "Wall time" not in page.text and "ms per frame" not in page.text
+    assert not any(each.get("href") == "#time" for each in page.all("a"))
+
+
 def test_same_run_same_bytes(run, text: str) -> None:
     again = render(run.result, run.drift, "[loop]\ncandidates = 4\n", "fr1_desk")
     assert again == text
@@ -303,7 +309,7 @@ def test_a_certificate_without_any_pair_to_compare_has_a_page(certified) -> None
     nothing = np.empty(0, np.float32)
     calibration = replace(certified.result.calibration, live_similarities=nothing)
     page = page_of(replace(certified.result, calibration=calibration))
-    assert "of 0 pairs that could be loops, – % reach 0.750" in page.text
+    assert "This run there are no pairs to compare with it" in page.text
 
 
 def test_without_a_certificate_one_line_says_so(page: Page) -> None:
