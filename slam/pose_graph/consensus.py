@@ -135,11 +135,13 @@ class _Growth:
     def _scale(self) -> float:
         """Return how much smaller the covariances really are than they are said to be, 1 at most.
 
-        Loops that came close were taken in first, so it is twice of what those show.
+        Loops that came close were taken in first, so it is twice of what those show. Of those that
+        were given nothing was foretold.
         """
-        if np.count_nonzero(self._kept) < _ENOUGH:
+        is_foretold = self._kept & np.isfinite(self._evidence)
+        if np.count_nonzero(is_foretold) < _ENOUGH:
             return 1.0
-        largest = float(np.quantile(self._foretold[self._kept], 0.95))
+        largest = float(np.quantile(self._foretold[is_foretold], 0.95))
         return min(max(2.0 * largest / self._limit, _LEAST_SCALE), 1.0)
 
     def _polished(self) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:

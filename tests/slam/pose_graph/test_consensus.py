@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.pose_graph.consensus import Consensus, consensus
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
+from slam.types import Link
 
+PER_ROUND = 40  # keyframes of the corridors
 LIMIT, WIDE = squared_error_limit(0.95), squared_error_limit(0.999)
 
 
@@ -62,3 +66,18 @@ def test_the_same_graph_gives_the_same_answer(corridors):
     first, second = found(graph), found(graph)
     assert first.T_world_kf.tobytes() == second.T_world_kf.tobytes()
     np.testing.assert_array_equal(first.kept, second.kept)
+
+
+@pytest.mark.parametrize("given", [19, 20])
+def test_loops_that_are_given_say_nothing_of_how_good_the_odometry_is(corridors, given):
+    """The first round is one recording, the others are another; loops lead over at one place."""
+    world = corridors()
+    join = Link(PER_ROUND - 1, PER_ROUND, world.links[PER_ROUND - 1].motion)
+    world.links[PER_ROUND - 1] = replace(join, motion=replace(join.motion, information=np.eye(6)))
+    over = [
+        world.measured(k % 10, PER_ROUND + k % 10, world.motion(k % 10, PER_ROUND + k % 10))
+        for k in range(given)
+    ]
+    within = world.true(PER_ROUND, 30)
+    answer = found(world.graph(over + within))
+    assert answer.kept[:given].mean() > 0.9 and answer.kept[given:].mean() > 0.9
