@@ -89,7 +89,7 @@ class _Growth:
         """Return what the map comes to once nothing more is sure enough."""
         system, scale = self._system, self._scale()
         trials = np.zeros(system.loop_count, np.int64)
-        spread = _spread(self._T)
+        spread = _spread(self._T, system.is_planar)
         rounds = min(_MOST_ROUNDS, 1 + _MOST_POSES // len(self._T))
         for _ in range(rounds):
             draws = system.with_only(self._kept).draws(self._T)
@@ -183,17 +183,19 @@ def _squared(errors: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray((errors * weighted).sum(axis=-1))
 
 
-def _spread(T_world_kf: FloatArray) -> FloatArray:
+def _spread(T_world_kf: FloatArray, is_planar: bool) -> FloatArray:
     """Return the (6, 6) covariance of the motions between poses anywhere in the map.
 
     It is diagonal: those along a circle are all about one screw, but a false loop need not be. Nor
-    does it look where a camera looks that hardly turns.
+    does it look where a camera looks that hardly turns. Out of the plane of a planar graph nothing
+    lies, neither true nor false.
     """
     a, b = np.random.default_rng(_SEED).integers(len(T_world_kf), size=(2, _PAIRS))
     motions = se3.log(se3.inverse(T_world_kf[a]) @ T_world_kf[b])
     variances = (motions**2).mean(axis=0)
-    if variances[:3].max() < _LITTLE_TURN_RAD**2:
-        variances[:3] = _LITTLE_TURN_RAD**2
+    turns = slice(2, 3) if is_planar else slice(0, 3)
+    if variances[turns].max() < _LITTLE_TURN_RAD**2:
+        variances[turns] = _LITTLE_TURN_RAD**2
     return np.diag(variances)
 
 
