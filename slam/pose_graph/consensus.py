@@ -42,7 +42,8 @@ class Consensus:
         undecided: (L,) bool, loops that may be true as far as is known, and as well may not.
         cost: the squared errors of all motions, of loops up to the limit.
         chance_fits: as many of the loops that were left out would fit by chance.
-        is_complete: whether it came to an end; in a large map of a poor odometry it may not.
+        is_complete: whether it came to an end, and to rest; in a large map of a poor odometry it
+            may not.
     """
 
     T_world_kf: FloatArray
@@ -66,10 +67,10 @@ def consensus(
     growth = _Growth(system, limit, wide, by_gnc & system.bridges)
     results = [growth.result()]
     for _ in range(_MOST_SECOND_THOUGHTS):
-        if not growth.give_up_chance_fits():
+        if not results[-1].is_complete or not growth.give_up_chance_fits():
             break
         results.append(growth.result())
-    return min(results, key=lambda result: result.cost)
+    return min(results, key=lambda result: (not result.is_complete, result.cost))
 
 
 class _Growth:
@@ -80,7 +81,7 @@ class _Growth:
     ) -> None:
         self._system, self._limit, self._wide = system, limit, wide
         self._kept = given
-        self._T = _settled(system, system.T_links, self._kept)
+        self._T, self._is_at_rest = _settled(system, system.T_links, self._kept)
         # How sure a loop was when it was taken in, and how far from what was foretold.
         self._evidence = np.where(given, np.inf, 0.0)
         self._foretold = np.zeros(system.loop_count)
@@ -106,7 +107,8 @@ class _Growth:
             self._move_to(self._kept | new)
             self._kept &= system.squared_errors(self._T) < self._wide
             scale = self._scale()
-        T, kept, squared = self._polished()
+        T, kept, squared, is_at_rest = self._polished()
+        is_complete &= self._is_at_rest and is_at_rest
         cost = system.links_cost(T) + float(np.minimum(squared, self._limit).sum())
         fits = self._chance_of_fitting(scale * covariance[~kept], spread)
         return Consensus(T, kept, squared, is_open & ~kept, cost, float(fits.sum()), is_complete)
@@ -130,7 +132,8 @@ class _Growth:
         return np.asarray(np.minimum(share, 1.0))
 
     def _move_to(self, kept: NDArray[np.bool_]) -> None:
-        self._kept, self._T = kept, _settled(self._system, self._T, kept)
+        self._kept = kept
+        self._T, self._is_at_rest = _settled(self._system, self._T, kept)
 
     def _scale(self) -> float:
         """Return how much smaller the covariances really are than they are said to be, 1 at most.
@@ -144,16 +147,19 @@ class _Growth:
         largest = float(np.quantile(self._foretold[is_foretold], 0.95))
         return min(max(2.0 * largest / self._limit, _LEAST_SCALE), 1.0)
 
-    def _polished(self) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
-        """Return the poses once exactly the loops within the limit are believed."""
+    def _polished(self) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, bool]:
+        """Return the poses once exactly the loops within the limit are believed, these and errors.
+
+        The last value says whether the poses came to rest.
+        """
         T, kept = self._T, self._kept
         for _ in range(_MOST_STEPS):
-            T = _settled(self._system, T, kept)
+            T, is_at_rest = _settled(self._system, T, kept)
             squared = self._system.squared_errors(T)
             before, kept = kept, squared < self._limit
             if (before == kept).all():
                 break
-        return T, kept, squared
+        return T, kept, squared, is_at_rest
 
 
 def _next(evidence: FloatArray) -> NDArray[np.bool_]:
@@ -199,11 +205,14 @@ def _spread(T_world_kf: FloatArray, is_planar: bool) -> FloatArray:
     return np.diag(variances)
 
 
-def _settled(system: MotionSystem, T: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+def _settled(
+    system: MotionSystem, T: FloatArray, kept: NDArray[np.bool_]
+) -> tuple[FloatArray, bool]:
+    """Return the (K, 4, 4) poses by links and kept loops, and whether they came to rest."""
     believed = system.with_only(kept)
     weights = np.ones(believed.loop_count)
     for _ in range(_MOST_STEPS):
         T, size = believed.step(T, weights)
         if size < _AT_REST:
-            break
-    return T
+            return T, True
+    return T, False

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slam.geometry import se3
-from slam.pose_graph.consensus import Consensus, consensus
+from slam.pose_graph.consensus import Consensus, _Growth, consensus
 from slam.pose_graph.graph import PoseGraph
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
@@ -107,3 +107,24 @@ def _in_plane(angle_rad: float, x_m: float, y_m: float) -> FloatArray:
 def _planar_information(sigma_rad: float, sigma_m: float) -> FloatArray:
     """Return what a 2-D graph becomes: out of the plane any number does."""
     return np.diag([*[sigma_rad**-2] * 3, sigma_m**-2, sigma_m**-2, sigma_rad**-2])
+
+
+def test_what_came_to_an_end_counts_more_than_what_cost_less(corridors, monkeypatch):
+    """Nor are there second thoughts about what did not."""
+    world = corridors()
+    graph = world.graph(world.true(0))
+    sound = found(graph)
+    cheap = replace(sound, cost=sound.cost - 1.0, is_complete=False)
+    scripted = iter([sound, cheap, sound])
+    monkeypatch.setattr(_Growth, "result", lambda _: next(scripted))
+    monkeypatch.setattr(_Growth, "give_up_chance_fits", lambda _: True)
+    assert found(graph) is sound
+    assert next(scripted) is sound
+
+
+def test_poses_that_did_not_come_to_rest_are_no_end(corridors, monkeypatch):
+    world = corridors()
+    graph = world.graph(world.true(0))
+    assert found(graph).is_complete
+    monkeypatch.setattr("slam.pose_graph.consensus._MOST_STEPS", 1)
+    assert not found(graph).is_complete
