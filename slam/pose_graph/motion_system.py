@@ -21,7 +21,10 @@ _MOST_REPEATS, _REST = 30, 1e-8
 _WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-_NEXT_TO_NOTHING = 0.01  # of the information that half of the links have
+# Links know next to nothing that have no more information than this in any direction, which is that
+# of 1 rad and 1 m with some room, and next to none of what half of the links have: where those are
+# of other units, or all of them poor, that is no gap. What is merely uncertain still foretells.
+_NEXT_TO_NOTHING, _NEXT_TO_NONE = 2.0, 0.01
 _AT_ONCE = 1000  # loops
 _DRAWS, _SEED = 64, 0  # enough to know a covariance of six numbers to a fifth
 
@@ -62,8 +65,8 @@ class MotionSystem:
     @property
     def bridges(self) -> NDArray[np.bool_]:
         """Return (L,) which loops tie poses that only links of next to no information join."""
-        certain = np.linalg.eigvalsh(self._information[: self.first_loop])[:, 0]
-        is_firm = certain > _NEXT_TO_NOTHING * np.median(certain)
+        most = np.linalg.eigvalsh(self._information[: self.first_loop])[:, -1]
+        is_firm = most > min(_NEXT_TO_NOTHING, _NEXT_TO_NONE * float(np.median(most)))
         firm = (self._ref[: self.first_loop][is_firm], self._query[: self.first_loop][is_firm])
         shape = (len(self.T_links), len(self.T_links))
         joined = scipy.sparse.coo_array((np.ones(len(firm[0])), firm), shape=shape)

@@ -74,8 +74,7 @@ def test_the_same_graph_gives_the_same_answer(corridors):
 def test_loops_that_are_given_say_nothing_of_how_good_the_odometry_is(corridors, given):
     """The first round is one recording, the others are another; loops lead over at one place."""
     world = corridors()
-    join = Link(PER_ROUND - 1, PER_ROUND, world.links[PER_ROUND - 1].motion)
-    world.links[PER_ROUND - 1] = replace(join, motion=replace(join.motion, information=np.eye(6)))
+    world.set_information(PER_ROUND - 1, np.eye(6))
     over = [
         world.measured(k % 10, PER_ROUND + k % 10, world.motion(k % 10, PER_ROUND + k % 10))
         for k in range(given)
@@ -86,7 +85,7 @@ def test_loops_that_are_given_say_nothing_of_how_good_the_odometry_is(corridors,
 
 
 def test_that_a_planar_loop_lies_in_the_plane_is_no_evidence():
-    """Straight on, 100 m: the odometry cannot tell which end the loop belongs to, to some metres."""
+    """Straight on, for 100 m: by then the odometry is off by some metres."""
     rng = np.random.default_rng(1)
     links, T = [], [np.eye(4)]
     for k in range(99):
