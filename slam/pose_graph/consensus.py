@@ -42,7 +42,8 @@ class Consensus:
         undecided: (L,) bool, loops that may be true as far as is known, and as well may not.
         cost: the squared errors of all motions, of loops up to the limit.
         chance_fits: as many of the loops that were left out would fit by chance.
-        is_complete: whether it came to an end; in a large map of a poor odometry it may not.
+        is_complete: whether it came to an end, and to rest; in a large map of a poor odometry it
+            may not.
     """
 
     T_world_kf: FloatArray
@@ -66,10 +67,10 @@ def consensus(
     growth = _Growth(system, limit, wide, by_gnc & system.bridges)
     results = [growth.result()]
     for _ in range(_MOST_SECOND_THOUGHTS):
-        if not growth.give_up_chance_fits():
+        if not results[-1].is_complete or not growth.give_up_chance_fits():
             break
         results.append(growth.result())
-    return min(results, key=lambda result: result.cost)
+    return min(results, key=lambda result: (not result.is_complete, result.cost))
 
 
 class _Growth:
@@ -80,7 +81,7 @@ class _Growth:
     ) -> None:
         self._system, self._limit, self._wide = system, limit, wide
         self._kept = given
-        self._T = _settled(system, system.T_links, self._kept)
+        self._T, self._is_at_rest = _settled(system, system.T_links, self._kept)
         # How sure a loop was when it was taken in, and how far from what was foretold.
         self._evidence = np.where(given, np.inf, 0.0)
         self._foretold = np.zeros(system.loop_count)
@@ -89,7 +90,7 @@ class _Growth:
         """Return what the map comes to once nothing more is sure enough."""
         system, scale = self._system, self._scale()
         trials = np.zeros(system.loop_count, np.int64)
-        spread = _spread(self._T)
+        spread = _spread(self._T, system.is_planar)
         rounds = min(_MOST_ROUNDS, 1 + _MOST_POSES // len(self._T))
         for _ in range(rounds):
             draws = system.with_only(self._kept).draws(self._T)
@@ -106,7 +107,8 @@ class _Growth:
             self._move_to(self._kept | new)
             self._kept &= system.squared_errors(self._T) < self._wide
             scale = self._scale()
-        T, kept, squared = self._polished()
+        T, kept, squared, is_at_rest = self._polished()
+        is_complete &= self._is_at_rest and is_at_rest
         cost = system.links_cost(T) + float(np.minimum(squared, self._limit).sum())
         fits = self._chance_of_fitting(scale * covariance[~kept], spread)
         return Consensus(T, kept, squared, is_open & ~kept, cost, float(fits.sum()), is_complete)
@@ -130,28 +132,34 @@ class _Growth:
         return np.asarray(np.minimum(share, 1.0))
 
     def _move_to(self, kept: NDArray[np.bool_]) -> None:
-        self._kept, self._T = kept, _settled(self._system, self._T, kept)
+        self._kept = kept
+        self._T, self._is_at_rest = _settled(self._system, self._T, kept)
 
     def _scale(self) -> float:
         """Return how much smaller the covariances really are than they are said to be, 1 at most.
 
-        Loops that came close were taken in first, so it is twice of what those show.
+        Loops that came close were taken in first, so it is twice of what those show. Of those that
+        were given nothing was foretold.
         """
-        if np.count_nonzero(self._kept) < _ENOUGH:
+        is_foretold = self._kept & np.isfinite(self._evidence)
+        if np.count_nonzero(is_foretold) < _ENOUGH:
             return 1.0
-        largest = float(np.quantile(self._foretold[self._kept], 0.95))
+        largest = float(np.quantile(self._foretold[is_foretold], 0.95))
         return min(max(2.0 * largest / self._limit, _LEAST_SCALE), 1.0)
 
-    def _polished(self) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
-        """Return the poses once exactly the loops within the limit are believed."""
+    def _polished(self) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, bool]:
+        """Return the poses once exactly the loops within the limit are believed, these and errors.
+
+        The last value says whether the poses came to rest.
+        """
         T, kept = self._T, self._kept
         for _ in range(_MOST_STEPS):
-            T = _settled(self._system, T, kept)
+            T, is_at_rest = _settled(self._system, T, kept)
             squared = self._system.squared_errors(T)
             before, kept = kept, squared < self._limit
             if (before == kept).all():
                 break
-        return T, kept, squared
+        return T, kept, squared, is_at_rest
 
 
 def _next(evidence: FloatArray) -> NDArray[np.bool_]:
@@ -181,25 +189,30 @@ def _squared(errors: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray((errors * weighted).sum(axis=-1))
 
 
-def _spread(T_world_kf: FloatArray) -> FloatArray:
+def _spread(T_world_kf: FloatArray, is_planar: bool) -> FloatArray:
     """Return the (6, 6) covariance of the motions between poses anywhere in the map.
 
     It is diagonal: those along a circle are all about one screw, but a false loop need not be. Nor
-    does it look where a camera looks that hardly turns.
+    does it look where a camera looks that hardly turns. Out of the plane of a planar graph nothing
+    lies, neither true nor false.
     """
     a, b = np.random.default_rng(_SEED).integers(len(T_world_kf), size=(2, _PAIRS))
     motions = se3.log(se3.inverse(T_world_kf[a]) @ T_world_kf[b])
     variances = (motions**2).mean(axis=0)
-    if variances[:3].max() < _LITTLE_TURN_RAD**2:
-        variances[:3] = _LITTLE_TURN_RAD**2
+    turns = slice(2, 3) if is_planar else slice(0, 3)
+    if variances[turns].max() < _LITTLE_TURN_RAD**2:
+        variances[turns] = _LITTLE_TURN_RAD**2
     return np.diag(variances)
 
 
-def _settled(system: MotionSystem, T: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+def _settled(
+    system: MotionSystem, T: FloatArray, kept: NDArray[np.bool_]
+) -> tuple[FloatArray, bool]:
+    """Return the (K, 4, 4) poses by links and kept loops, and whether they came to rest."""
     believed = system.with_only(kept)
     weights = np.ones(believed.loop_count)
     for _ in range(_MOST_STEPS):
         T, size = believed.step(T, weights)
         if size < _AT_REST:
-            break
-    return T
+            return T, True
+    return T, False

@@ -21,8 +21,12 @@ _MOST_REPEATS, _REST = 30, 1e-8
 _WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-_NEXT_TO_NOTHING = 0.01  # of the information that half of the links have
-_AT_ONCE = 1000  # loops
+# Links know next to nothing that have no more information than this in any direction, which is that
+# of 1 rad and 1 m with some room, and next to none of what half of the links have: where those are
+# of other units, or all of them poor, that is no gap. What is merely uncertain still foretells.
+_NEXT_TO_NOTHING, _NEXT_TO_NONE = 2.0, 0.01
+_AT_ONCE = 1000  # loops, or pairs of them: their draws are 3 kB each
+_DRAWN_AT_ONCE = 10_000  # motions
 _DRAWS, _SEED = 64, 0  # enough to know a covariance of six numbers to a fifth
 
 
@@ -62,8 +66,8 @@ class MotionSystem:
     @property
     def bridges(self) -> NDArray[np.bool_]:
         """Return (L,) which loops tie poses that only links of next to no information join."""
-        certain = np.linalg.eigvalsh(self._information[: self.first_loop])[:, 0]
-        is_firm = certain > _NEXT_TO_NOTHING * np.median(certain)
+        most = np.linalg.eigvalsh(self._information[: self.first_loop])[:, -1]
+        is_firm = most > min(_NEXT_TO_NOTHING, _NEXT_TO_NONE * float(np.median(most)))
         firm = (self._ref[: self.first_loop][is_firm], self._query[: self.first_loop][is_firm])
         shape = (len(self.T_links), len(self.T_links))
         joined = scipy.sparse.coo_array((np.ones(len(firm[0])), firm), shape=shape)
@@ -144,18 +148,21 @@ class MotionSystem:
         how well the motions know the one between them.
         """
         _, sides = self._linearised(T_world_kf)
-        root = np.linalg.cholesky(self._information)
-        noise = root @ np.random.default_rng(_SEED).normal(size=(len(root), 6, _DRAWS))
-        right = np.zeros((len(T_world_kf), 6, _DRAWS))
-        blocks = []
-        for a, J_a in sides:
-            added = scipy.sparse.csr_array((np.ones(len(a)), (a, np.arange(len(a)))))
-            added.resize(len(right), len(a))
-            right += (added @ (J_a.transpose(0, 2, 1) @ noise).reshape(len(a), -1)).reshape(
-                right.shape
-            )
-            blocks += [J_a.transpose(0, 2, 1) @ self._information @ J_b for _, J_b in sides]
-        return self._matrix.solved_anew(blocks, right)
+        rng = np.random.default_rng(_SEED)
+        right = np.zeros((len(T_world_kf), 6 * _DRAWS))
+        for first in range(0, len(self._information), _DRAWN_AT_ONCE):
+            some = slice(first, first + _DRAWN_AT_ONCE)
+            root = np.linalg.cholesky(self._information[some])
+            noise = root @ rng.normal(size=(len(root), 6, _DRAWS))
+            for a, J_a in sides:
+                ends = (a[some], np.arange(len(root)))
+                shape = (len(right), len(root))
+                added = scipy.sparse.csr_array((np.ones(len(root)), ends), shape=shape)
+                right += added @ (J_a[some].transpose(0, 2, 1) @ noise).reshape(len(root), -1)
+        blocks = [
+            J_a.transpose(0, 2, 1) @ self._information @ J_b for _, J_a in sides for _, J_b in sides
+        ]
+        return self._matrix.solved_anew(blocks, right.reshape(len(right), 6, _DRAWS))
 
     def predicted(self, T_world_kf: FloatArray, draws: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the (L, 6) errors of the loops and their (L, 6, 6) covariance before they count.
@@ -175,6 +182,11 @@ class MotionSystem:
 
         The (K, 6, D) draws tell how well those ways are known.
         """
+        parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
+        squared = [self._cycles(T_world_kf, draws, part) for part in parts]
+        return np.concatenate([np.zeros(0), *squared])
+
+    def _cycles(self, T_world_kf: FloatArray, draws: FloatArray, pairs: IntArray) -> FloatArray:
         first, second = (pairs + self.first_loop).T
         ref, query, T_query_ref = self._ref, self._query, self._T_query_ref
         T_ends = (

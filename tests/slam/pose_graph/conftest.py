@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -39,6 +39,11 @@ class Corridors:
         return [
             self.measured(a, b, self.motion(a, first) @ self.motion(second, b)) for a, b in pairs
         ]
+
+    def set_information(self, k: int, information: FloatArray) -> None:
+        """Say how well the odometry knows the way from a keyframe to the next."""
+        link = self.links[k]
+        self.links[k] = replace(link, motion=replace(link.motion, information=information))
 
     def graph(self, loops: list[Link]) -> PoseGraph:
         T = [np.eye(4)]

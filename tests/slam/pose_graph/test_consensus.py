@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from slam.pose_graph.consensus import Consensus, consensus
+from slam.geometry import se3
+from slam.pose_graph.consensus import Consensus, _Growth, consensus
+from slam.pose_graph.graph import PoseGraph
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
+from slam.types import FloatArray, Link, RelativePose
 
+PER_ROUND = 40  # keyframes of the corridors
 LIMIT, WIDE = squared_error_limit(0.95), squared_error_limit(0.999)
 
 
@@ -62,3 +68,62 @@ def test_the_same_graph_gives_the_same_answer(corridors):
     first, second = found(graph), found(graph)
     assert first.T_world_kf.tobytes() == second.T_world_kf.tobytes()
     np.testing.assert_array_equal(first.kept, second.kept)
+
+
+@pytest.mark.parametrize("given", [19, 20])
+def test_loops_that_are_given_say_nothing_of_how_good_the_odometry_is(corridors, given):
+    """The first round is one recording, the others are another; loops lead over at one place."""
+    world = corridors()
+    world.set_information(PER_ROUND - 1, np.eye(6))
+    over = [
+        world.measured(k % 10, PER_ROUND + k % 10, world.motion(k % 10, PER_ROUND + k % 10))
+        for k in range(given)
+    ]
+    within = world.true(PER_ROUND, 30)
+    answer = found(world.graph(over + within))
+    assert answer.kept[:given].mean() > 0.9 and answer.kept[given:].mean() > 0.9
+
+
+def test_that_a_planar_loop_lies_in_the_plane_is_no_evidence():
+    """Straight on, for 100 m: by then the odometry is off by some metres."""
+    rng = np.random.default_rng(1)
+    links, T = [], [np.eye(4)]
+    for k in range(99):
+        moved = _in_plane(0.002 * rng.normal(), 1.0 + 0.3 * rng.normal(), 0.3 * rng.normal())
+        links.append(Link(k, k + 1, RelativePose(moved, _planar_information(0.002, 0.3))))
+        T.append(T[-1] @ moved)
+    loop = Link(0, 99, RelativePose(_in_plane(0.0, 99.0, 0.0), _planar_information(0.01, 0.1)))
+    graph = PoseGraph(dict(enumerate(T)), links, {0: loop}, is_planar=True)
+    limits = (squared_error_limit(each, is_planar=True) for each in (0.95, 0.999))
+    answer = consensus(MotionSystem(graph), *limits, np.ones(1, np.bool_))
+    assert answer.undecided.all() and not answer.kept.any()
+
+
+def _in_plane(angle_rad: float, x_m: float, y_m: float) -> FloatArray:
+    return se3.exp(np.array([0.0, 0.0, angle_rad, x_m, y_m, 0.0]))
+
+
+def _planar_information(sigma_rad: float, sigma_m: float) -> FloatArray:
+    """Return what a 2-D graph becomes: out of the plane any number does."""
+    return np.diag([*[sigma_rad**-2] * 3, sigma_m**-2, sigma_m**-2, sigma_rad**-2])
+
+
+def test_what_came_to_an_end_counts_more_than_what_cost_less(corridors, monkeypatch):
+    """Nor are there second thoughts about what did not."""
+    world = corridors()
+    graph = world.graph(world.true(0))
+    sound = found(graph)
+    cheap = replace(sound, cost=sound.cost - 1.0, is_complete=False)
+    scripted = iter([sound, cheap, sound])
+    monkeypatch.setattr(_Growth, "result", lambda _: next(scripted))
+    monkeypatch.setattr(_Growth, "give_up_chance_fits", lambda _: True)
+    assert found(graph) is sound
+    assert next(scripted) is sound
+
+
+def test_poses_that_did_not_come_to_rest_are_no_end(corridors, monkeypatch):
+    world = corridors()
+    graph = world.graph(world.true(0))
+    assert found(graph).is_complete
+    monkeypatch.setattr("slam.pose_graph.consensus._MOST_STEPS", 1)
+    assert not found(graph).is_complete

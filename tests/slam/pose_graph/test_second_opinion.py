@@ -92,3 +92,12 @@ def test_a_large_graph_solved_on_the_way_is_only_looked_at_where_there_is_a_doub
     solution = solve(replace(bent, solved=bent.T_world_kf), PROBABILITY)
     assert kept(solution) == [] and len(asked) == 1
     assert world.rmse_m(solution.T_world_kf) <= world.rmse_m(bent.T_world_kf) + 1e-6
+
+
+def test_false_loops_over_a_weak_link_are_judged_like_all_others(corridors):
+    world = corridors()
+    world.set_information(55, world.links[55].motion.information / 11.0**2)
+    graph = world.graph(world.alike(30, 72))
+    solution = solve(graph, PROBABILITY)
+    assert kept(solution) == [] and solution.warnings
+    assert world.rmse_m(solution.T_world_kf) <= world.rmse_m(graph.T_world_kf) + 1e-6
