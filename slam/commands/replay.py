@@ -29,13 +29,14 @@ _AGAIN = (
 _NOT_WHOLE = "the run stopped early: what its recordings show later is not in this"
 _DESCRIPTION = """Decide about the loops of a run again, with other settings, without its images.
 
-  run_slam replay runs/fr1_desk                                  the same decisions again
-  run_slam replay runs/fr1_desk --verification.min-inliers 20    with fewer inliers
-  run_slam replay runs/fr1_desk --graph.inlier-probability 0.99 --out runs/trusting
+  run_slam replay runs/fr1_desk                    the same decisions again
+  run_slam replay runs/fr1_desk --verification.min-inliers 20
+  run_slam replay runs/fr1_desk --graph.inlier-probability 0.99 --out runs/more
 
-The run's own settings hold unless told. Similarity, geometry, pose graph and the map's adjustment
-are done anew; what the camera was tracked by is not: settings of --input, --features, --odometry,
---keyframes and --map stay as they are. To try those, run the recording again."""
+The run's own settings hold unless told. Similarity, geometry, pose graph and
+the map's adjustment are done anew; what the camera was tracked by is not: what
+--input, --features, --odometry, --keyframes and --map set stays. To try those,
+run the recording again."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import json
-import subprocess
 import sys
 
 import numpy as np
@@ -248,21 +247,3 @@ def test_bad_input_ends_in_one_line(compare, typed, complaint):
 def test_a_summary_that_tells_less_is_taken_as_it_is(make_run, compare, otherwise):
     code, said = compare(make_run("a", **otherwise))
     assert code == 0 and "a with loops 0.00" in said and said.isprintable()
-
-
-def test_help_teaches_on_one_screen_and_loads_nothing_heavy(monkeypatch):
-    script = (
-        "import sys\n"
-        "from slam.__main__ import main\n"
-        "try:\n"
-        "    main(['compare', '--help'])\n"
-        "except SystemExit as exited:\n"
-        "    print(exited.code, sorted(sys.modules), file=sys.stderr)\n"
-    )
-    monkeypatch.setenv("COLUMNS", "80")
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    lines = done.stdout.splitlines()
-    assert len(lines) <= 24 and max(map(len, lines)) <= 80
-    assert "  run_slam compare runs/demo runs/strict" in done.stdout
-    assert done.stderr.startswith("0 ")
-    assert not any(f"'{name}'" in done.stderr for name in ("matplotlib", "numba", "cv2", "torch"))

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("module", "typed", "taught"),
+    [
+        ("slam.__main__", ["compare", "--help"], "run_slam compare runs/demo runs/strict"),
+        ("slam.__main__", ["replay", "--help"], "run_slam replay runs/fr1_desk"),
+        ("slam.commands.drift_report", ["--help"], "drift_report estimate.txt truth.txt"),
+    ],
+    ids=["compare", "replay", "drift_report"],
+)
+def test_help_teaches_on_one_screen_and_loads_nothing_heavy(monkeypatch, module, typed, taught):
+    script = (
+        "import sys\n"
+        f"from {module} import main\n"
+        "try:\n"
+        f"    main({typed})\n"
+        "except SystemExit as exited:\n"
+        "    print(exited.code, sorted(sys.modules), file=sys.stderr)\n"
+    )
+    monkeypatch.setenv("COLUMNS", "80")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+    assert f"  {taught}" in done.stdout
+    assert done.stderr.startswith("0 ")
+    assert not any(f"'{name}'" in done.stderr for name in ("matplotlib", "numba", "cv2", "torch"))
