@@ -8,7 +8,8 @@ from enum import StrEnum
 import numpy as np
 
 from placerec.datasets.tum_lists import nearest
-from slam.evaluation.coverage import coverage, gaps, outside_breaks, sessions
+from slam.evaluation.association import Association, associated
+from slam.evaluation.coverage import sessions
 from slam.evaluation.pose_errors import (
     Delta,
     Pairs,
@@ -17,9 +18,9 @@ from slam.evaluation.pose_errors import (
     pairs_of_frames,
     relative_errors,
 )
-from slam.evaluation.trajectory import align, associate, path_length_m, scale_between
+from slam.evaluation.trajectory import align, scale_between
 from slam.geometry import se3
-from slam.types import FloatArray, IntArray, SlamError, Trajectory
+from slam.types import FloatArray, SlamError, Trajectory
 
 _MIN_ALIGNED = 3  # fewer positions do not fix an alignment in space
 _ON_A_LINE = 1e-6  # of the spread along it, that across it is less: a thousandth of its length
@@ -50,37 +51,6 @@ class ComparisonConfig:
     max_time_difference_s: float = 0.02
     deltas: tuple[Delta, ...] = (Delta(1.0, "m"), Delta(1.0, "s"))
     all_pairs: bool = False
-
-
-@dataclass(frozen=True)
-class Association:
-    """Which poses were compared, and which were not.
-
-    Attributes:
-        by_row: there are no times; poses belong together by their number.
-        estimate_poses, truth_poses, matched: counts.
-        most_apart_s: of two that belong together; NaN by row.
-        truth_covers: share of the estimate's time for which there is truth, gaps of more than half
-            a second left out; NaN by row.
-        estimate_covers: share of the truth's time for which there is an estimate; alike.
-        missing_s: (G, 2) seconds, the stretches of the truth's time without an estimate.
-        span_s: the truth's time; NaN by row.
-        estimate_length_m, truth_length_m: of the way through the matched poses.
-
-    The breaks between recordings are no part of any of these.
-    """
-
-    by_row: bool
-    estimate_poses: int
-    truth_poses: int
-    matched: int
-    most_apart_s: float
-    truth_covers: float
-    estimate_covers: float
-    missing_s: FloatArray
-    span_s: float
-    estimate_length_m: float
-    truth_length_m: float
 
 
 @dataclass(frozen=True)
@@ -139,7 +109,10 @@ def compare(
     Raises:
         SlamError: too few poses belong together, a scale cannot be told, or there is no time.
     """
-    association, matched, true = _associated(estimate, truth, config, by_row, session_starts_s)
+    association, matched, true = associated(
+        estimate, truth, config.max_time_difference_s, by_row, session_starts_s
+    )
+    _refuse_too_few(estimate, truth, len(matched), config)
     T_truth_world, scale, best_scale = _alignment(matched, true, config.alignment)
     undetermined = ""
     if config.alignment in (Alignment.SE3, Alignment.SIM3):
@@ -171,70 +144,16 @@ def compare(
     )
 
 
-def _associated(
-    estimate: Trajectory,
-    truth: Trajectory,
-    config: ComparisonConfig,
-    by_row: bool,
-    starts_s: Sequence[float],
-) -> tuple[Association, Trajectory, Trajectory]:
-    tolerance_s = config.max_time_difference_s
-    most_apart_s, span_s, missing_s = np.nan, np.nan, np.zeros((0, 2))
-    truth_covers = estimate_covers = np.nan
-    if by_row:
-        if len(estimate) != len(truth):
-            raise SlamError(
-                f"without times poses belong together by their row, but there are {len(estimate)}"
-                f" of the estimate and {len(truth)} of the truth; give files with times"
-            )
-        rows = np.arange(len(estimate), dtype=np.float64)
-        matched, true = (Trajectory(rows, each.T_world_cam) for each in (estimate, truth))
-    else:
-        in_estimate, in_truth = associate(estimate, truth, tolerance_s)
-        matched, true = _rows(estimate, in_estimate), _rows(truth, in_truth)
-        apart_s = np.abs(matched.timestamps_s - true.timestamps_s)
-        most_apart_s = float(apart_s.max(initial=0.0))
-        of_truth = outside_breaks(truth, estimate, starts_s)
-        parts = sessions(of_truth, starts_s)
-        truth_covers = coverage(estimate, truth, starts_s)
-        estimate_covers = coverage(of_truth, estimate, starts_s)
-        missing_s = np.concatenate([missing_s, *(gaps(estimate, part) for part in parts)])
-        span_s = float(sum(part.timestamps_s[-1] - part.timestamps_s[0] for part in parts))
+def _refuse_too_few(
+    estimate: Trajectory, truth: Trajectory, matched: int, config: ComparisonConfig
+) -> None:
     needed = _MIN_ALIGNED if config.alignment in (Alignment.SE3, Alignment.SIM3) else 1
-    if len(matched) < needed:
-        raise SlamError(_too_few(estimate, truth, len(matched), needed, config))
-    association = Association(
-        by_row,
-        len(estimate),
-        len(truth),
-        len(matched),
-        most_apart_s,
-        truth_covers,
-        estimate_covers,
-        missing_s,
-        span_s,
-        _way_m(matched, starts_s),
-        # By the estimate's times, so that each true pose is in the session of its own.
-        _way_m(Trajectory(matched.timestamps_s, true.T_world_cam), starts_s),
-    )
-    return association, matched, true
-
-
-def _way_m(trajectory: Trajectory, starts_s: Sequence[float]) -> float:
-    return sum(path_length_m(each) for each in sessions(trajectory, starts_s))
-
-
-def _rows(trajectory: Trajectory, rows: IntArray) -> Trajectory:
-    return Trajectory(trajectory.timestamps_s[rows], trajectory.T_world_cam[rows])
-
-
-def _too_few(
-    estimate: Trajectory, truth: Trajectory, matched: int, needed: int, config: ComparisonConfig
-) -> str:
+    if matched >= needed:
+        return
     closest = nearest(truth.timestamps_s, estimate.timestamps_s)
     gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
     name = "" if needed == 1 else f" for the alignment {config.alignment}"
-    return (
+    raise SlamError(
         f"only {matched} of {len(estimate)} poses have one of the truth in time, {needed} are"
         f" needed{name}: the closest gap is {gap_s:.6g} s, {config.max_time_difference_s:g} s are"
         " allowed; check that both use one clock, or raise --max-time-difference"

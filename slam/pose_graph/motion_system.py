@@ -8,19 +8,12 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
 from slam.geometry import se3
+from slam.pose_graph.block_matrix import BlockMatrix
 from slam.pose_graph.graph import PoseGraph
 from slam.types import FloatArray, IntArray
 
-_ANCHOR_INFORMATION = 1e8
-# Where weights hardly changed, a step is found with the factors of an earlier one, applied up to so
-# many times, to this share of its right side. In a small graph new factors cost less.
-_MOST_REPEATS, _REST = 30, 1e-8
-_WORTH_REUSING = 500
-# What is factorised is symmetric and positive definite: no row has to be exchanged for another.
-_POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 # Links know next to nothing that have no more information than this in any direction, which is that
 # of 1 rad and 1 m with some room, and next to none of what half of the links have: where those are
 # of other units, or all of them poor, that is no gap. What is merely uncertain still foretells.
@@ -56,7 +49,7 @@ class MotionSystem:
         self._query: IntArray = np.array([row_of[each.query_id] for each in motions])
         self._T_query_ref = se3.inverse(np.array([each.motion.T_ref_query for each in motions]))
         self._information = np.array([each.motion.information for each in motions])
-        self._matrix = _BlockMatrix(self._ref, self._query, len(row_of))
+        self._matrix = BlockMatrix(self._ref, self._query, len(row_of))
 
     @property
     def loop_ends(self) -> IntArray:
@@ -85,7 +78,7 @@ class MotionSystem:
         part.loop_count = len(rows) - self.first_loop
         part._ref, part._query = self._ref[rows], self._query[rows]
         part._T_query_ref, part._information = self._T_query_ref[rows], self._information[rows]
-        part._matrix = _BlockMatrix(part._ref, part._query, len(self.T_links))
+        part._matrix = BlockMatrix(part._ref, part._query, len(self.T_links))
         return part
 
     def squared_errors(self, T_world_kf: FloatArray) -> FloatArray:
@@ -233,76 +226,3 @@ def _start(graph: PoseGraph) -> FloatArray:
     T_solved[is_known] = [graph.solved[k] for k in graph.T_world_kf if k in graph.solved]
     T_moved = T_begin[0] @ se3.inverse(T_solved[0]) @ T_solved[last]
     return np.asarray(T_moved @ se3.inverse(T_begin[last]) @ T_begin)
-
-
-class _BlockMatrix:
-    """A (6 K, 6 K) matrix of the blocks that motions between K poses add to, the first one held.
-
-    Which blocks there are, and in what order the poses are eliminated, is found out once.
-    """
-
-    def __init__(self, ref: IntArray, query: IntArray, count: int) -> None:
-        self._place_of = _elimination_order(ref, query, count)
-        ends = [self._place_of[each] for each in (ref, query)]
-        held = self._place_of[:1]
-        rows = np.concatenate([*(a for a in ends for _ in ends), held])
-        columns = np.concatenate([*(b for _ in ends for b in ends), held])
-        places, block_of = np.unique(rows * count + columns, return_inverse=True)
-        shape = (len(places), len(block_of))
-        ones = np.ones(len(block_of))
-        self._sum = scipy.sparse.csr_array((ones, (block_of, np.arange(len(ones)))), shape=shape)
-        self._factors: SuperLU | None = None
-        self._columns = places % count
-        self._starts = np.searchsorted(places, count * np.arange(count + 1))
-
-    def solved(self, blocks: list[FloatArray], right: FloatArray) -> FloatArray:
-        """Return (K, 6), what the matrix takes to (K, 6) right.
-
-        Its blocks are (M, 6, 6) each: from reference to itself, to query, and from that to both.
-        """
-        matrix = self._summed(blocks)
-        in_place = np.empty_like(right)
-        in_place[self._place_of] = right
-        solution = self._nearly(matrix, in_place.ravel())
-        if solution is None:
-            self._factors = splu(matrix, permc_spec="NATURAL", **_POSITIVE)
-            solution = self._factors.solve(in_place.ravel())
-        return np.asarray(solution.reshape(-1, 6)[self._place_of])
-
-    def solved_anew(self, blocks: list[FloatArray], right: FloatArray) -> FloatArray:
-        """Return the same for (K, 6, D) right; what was factorised for one stays as it was."""
-        in_place = np.empty_like(right)
-        in_place[self._place_of] = right
-        factors = splu(self._summed(blocks), permc_spec="NATURAL", **_POSITIVE)
-        solution = factors.solve(in_place.reshape(6 * len(right), -1))
-        return np.asarray(solution.reshape(right.shape)[self._place_of])
-
-    def _summed(self, blocks: list[FloatArray]) -> scipy.sparse.csc_array:
-        added = np.concatenate([*blocks, _ANCHOR_INFORMATION * np.eye(6)[None]]).reshape(-1, 36)
-        summed = (self._sum @ added).reshape(-1, 6, 6)
-        size = 6 * len(self._place_of)
-        parts = (summed, self._columns, self._starts)
-        return scipy.sparse.bsr_array(parts, shape=(size, size)).tocsc()
-
-    def _nearly(self, matrix: scipy.sparse.csc_array, right: FloatArray) -> FloatArray | None:
-        """Return the solution if the factors of an earlier matrix lead to it soon, else None."""
-        if self._factors is None or len(right) < 6 * _WORTH_REUSING:
-            return None
-        factors = LinearOperator(matrix.shape, self._factors.solve, dtype=np.float64)
-        solution, is_left = cg(matrix, right, rtol=_REST, maxiter=_MOST_REPEATS, M=factors)
-        return None if is_left else np.asarray(solution)
-
-
-def _elimination_order(ref: IntArray, query: IntArray, count: int) -> IntArray:
-    """Return (K,) places of the poses in an order in which eliminating them fills in little.
-
-    It is that of minimum degree on the graph of the poses, six times smaller than their matrix.
-    """
-    all_poses = np.arange(count)
-    rows = np.concatenate([ref, query, all_poses])
-    columns = np.concatenate([query, ref, all_poses])
-    degrees = np.bincount(rows, minlength=count)
-    values = np.concatenate([np.full(2 * len(ref), -1.0), degrees.astype(np.float64)])
-    pattern = scipy.sparse.coo_array((values, (rows, columns)), shape=(count, count)).tocsc()
-    order: IntArray = splu(pattern, permc_spec="MMD_AT_PLUS_A", **_POSITIVE).perm_c
-    return order.astype(np.int64)

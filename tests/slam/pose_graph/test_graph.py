@@ -149,14 +149,14 @@ def test_a_large_graph_goes_on_from_where_it_was_solved(walk, monkeypatch) -> No
 def test_factors_of_an_earlier_step_lead_where_new_ones_do(walk, monkeypatch) -> None:
     graph = walk.graph(loops_of(walk, 5)[0])
     exact = solve_large(graph, PROBABILITY)
-    monkeypatch.setattr("slam.pose_graph.motion_system._WORTH_REUSING", 0)
+    monkeypatch.setattr("slam.pose_graph.block_matrix._WORTH_REUSING", 0)
     factorised = []
 
     def counted(*asked, **how):
         factorised.append(1)
         return splu(*asked, **how)
 
-    monkeypatch.setattr("slam.pose_graph.motion_system.splu", counted)
+    monkeypatch.setattr("slam.pose_graph.block_matrix.splu", counted)
     steps = []
     step = MotionSystem.step
     monkeypatch.setattr(MotionSystem, "step", lambda *asked: steps.append(1) or step(*asked))
