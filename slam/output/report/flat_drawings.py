@@ -68,7 +68,8 @@ def path_from_above(paths: Paths, loops: list[Decision]) -> Markup:
     )
     shown = np.concatenate([odometry, corrected, truth])
     axes = _Axes(*_equal(shown[np.isfinite(shown).all(axis=1)]))
-    parts = axes.grid(tuple(f"{'xyz'[i]} (m)" for i in plane))  # type: ignore[arg-type]
+    across, upwards = (f"{'xyz'[i]} (m)" for i in plane)
+    parts = axes.grid((across, upwards))
     ends = at_keyframes(corrected, paths.keyframe_frames)
     for kind, colour in ((ACCEPTED, "after"), (FALSE, "wrong")):
         pairs = [[ends[each.match.id], ends[each.query.id]] for each in loops if each.kind == kind]
