@@ -18,11 +18,10 @@ from slam.evaluation.pose_errors import (
     pairs_of_frames,
     relative_errors,
 )
-from slam.evaluation.trajectory import align, scale_between
+from slam.evaluation.trajectory import MIN_ALIGNED, align, scale_between
 from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
-_MIN_ALIGNED = 3  # fewer positions do not fix an alignment in space
 _ON_A_LINE = 1e-6  # of the spread along it, that across it is less: a thousandth of its length
 _LENGTHS, _SERIES = 8, (1.0, 2.0, 5.0)
 
@@ -147,7 +146,7 @@ def compare(
 def _refuse_too_few(
     estimate: Trajectory, truth: Trajectory, matched: int, config: ComparisonConfig
 ) -> None:
-    needed = _MIN_ALIGNED if config.alignment in (Alignment.SE3, Alignment.SIM3) else 1
+    needed = MIN_ALIGNED if config.alignment in (Alignment.SE3, Alignment.SIM3) else 1
     if matched >= needed:
         return
     closest = nearest(truth.timestamps_s, estimate.timestamps_s)

@@ -12,12 +12,10 @@ from slam.evaluation.coverage import coverage, sessions
 from slam.evaluation.leave_one_out import helped_m
 from slam.evaluation.motion_truth import LoopTruth, judge_links, judge_loops
 from slam.evaluation.pose_errors import pairs_in_time, relative_errors, root_mean_square
-from slam.evaluation.trajectory import align, associate, path_length_m
+from slam.evaluation.trajectory import MIN_ALIGNED, align, associate, path_length_m
 from slam.geometry import se3
 from slam.result import SlamResult
 from slam.types import FloatArray, SlamError, Trajectory
-
-_MIN_MATCHED_POSES = 3  # fewer positions do not fix an alignment in space
 
 
 @dataclass(frozen=True)
@@ -107,12 +105,12 @@ def trajectory_error(
             "the estimate or the ground truth holds no poses; there is nothing to compare"
         )
     in_estimate, in_truth = associate(estimate, truth, tolerance_s)
-    if len(in_estimate) < _MIN_MATCHED_POSES:
+    if len(in_estimate) < MIN_ALIGNED:
         closest = nearest(truth.timestamps_s, estimate.timestamps_s)
         gap_s = np.abs(truth.timestamps_s[closest] - estimate.timestamps_s).min()
         raise SlamError(
             f"only {len(in_estimate)} of {len(estimate)} poses have ground truth in time, "
-            f"{_MIN_MATCHED_POSES} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
+            f"{MIN_ALIGNED} are needed: the closest gap is {gap_s:.6g} s, the tolerance "
             f"{tolerance_s:g} s; check that both use one clock, or raise "
             "--evaluation.max-time-difference-s"
         )

@@ -3,12 +3,10 @@
 
 import numpy as np
 
-from slam.evaluation.trajectory import align, associate
+from slam.evaluation.trajectory import MIN_ALIGNED, align, associate
 from slam.geometry import se3
 from slam.result import SlamResult
 from slam.types import FloatArray, Trajectory
-
-_MIN_MATCHED_POSES = 3
 
 
 def helped_m(result: SlamResult, truth: Trajectory, max_time_difference_s: float) -> FloatArray:
@@ -21,7 +19,7 @@ def helped_m(result: SlamResult, truth: Trajectory, max_time_difference_s: float
     placed = np.flatnonzero(np.isfinite(result.T_world_kf[:, 0, 0]))
     estimate = Trajectory(stamps_s[placed], result.T_world_kf[placed])
     in_estimate, in_truth = associate(estimate, truth, max_time_difference_s)
-    if len(in_estimate) < _MIN_MATCHED_POSES:
+    if len(in_estimate) < MIN_ALIGNED:
         return helped
     ids, true_m = placed[in_estimate], truth.T_world_cam[in_truth, :3, 3]
     positions_m = result.T_world_kf[ids, :3, 3]

@@ -125,6 +125,10 @@ def poses_at(trajectory: Trajectory, stamps_s: FloatArray, tolerance_s: float) -
     return T_world_cam
 
 
+MIN_ALIGNED = 3
+"""Fewer positions do not fix an alignment in space."""
+
+
 def align(estimate_m: FloatArray, truth_m: FloatArray) -> FloatArray:
     """Return T_truth_world, the (4, 4) rigid motion without scale that best lays points on points.
 
