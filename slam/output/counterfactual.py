@@ -13,11 +13,13 @@ from slam.output.ledger import InfluenceRecord, influence_record
 from slam.result import SlamResult
 from slam.types import Trajectory
 
+# Of the ATE: what a loop alone changes by less is not felt. Loops that agree share their effect.
+_FELT = 0.01
 _SAID = {
     "helped": "helped",
     "hurt": "hurt",
-    "agrees": "agrees with them",
-    "contradicts": "contradicts them",
+    "agrees": "agrees with the others",
+    "contradicts": "contradicts the others",
 }
 
 
@@ -49,17 +51,28 @@ def by_influence(loops: Sequence[Decision]) -> list[tuple[Decision, InfluenceRec
     return sorted(known, key=lambda each: (-each[1].moved_rms_mm, each[0].query.id))
 
 
-def in_words(loops: Sequence[Decision]) -> str | None:
-    """Return a sentence on what single loops did, None where that is not known."""
+def left_out(record: InfluenceRecord) -> str:
+    """Return what there would be without one loop, for people."""
+    told = f"without it the map would lie {record.moved_rms_mm:.2g} mm elsewhere (RMS)"
+    if record.helped_mm is None:
+        return f"{told}; it {_SAID[record.verdict]}"
+    more = "larger" if record.helped_mm >= 0.0 else "smaller"
+    return f"{told}, its error {abs(record.helped_mm):.2g} mm {more}"
+
+
+def in_words(loops: Sequence[Decision], drift: DriftReport | None) -> str | None:
+    """Return a sentence on what single loops did, None where that is not known.
+
+    Of those that change the error of the map, the ATE, by next to nothing it says just that.
+    """
     found = by_influence(loops)
     if not found:
         return None
     (loop, most), records = found[0], [record for _, record in found]
-    kinds = Counter(record.verdict for record in records)
-    if most.helped_mm is not None:
-        told = f"{kinds['helped']} of {len(records)} loops helped and {kinds['hurt']} hurt"
+    if drift is not None and most.helped_mm is not None:
+        told = _felt(records, 1000.0 * drift.corrected.ate_rmse_m)
     else:
-        odd = kinds["contradicts"]
+        odd = sum(record.verdict == "contradicts" for record in records)
         verb = "are" if odd > 1 else "is"
         told = f"{odd or 'none'} of {len(records)} loops {verb} at odds with the others"
     return (
@@ -67,6 +80,18 @@ def in_words(loops: Sequence[Decision]) -> str | None:
         f" {loop.query.id} to {loop.match.id}, {_SAID[most.verdict]}: it moved"
         f" keyframes by {most.moved_rms_mm:.2g} mm (RMS), up to {most.moved_most_mm:.2g} mm."
     )
+
+
+def _felt(records: Sequence[InfluenceRecord], ate_mm: float) -> str:
+    felt = [each for each in records if abs(each.helped_mm or 0.0) > _FELT * ate_mm]
+    kinds = Counter(record.verdict for record in felt)
+    verb = "changes" if len(felt) < 2 else "change"
+    told = (
+        f"{len(felt) or 'none'} of {len(records)} loops {verb} the error by more than {_FELT:.0%}"
+    )
+    if not felt:
+        return told
+    return f"{told} ({kinds['helped'] or 'none'} helped, {kinds['hurt'] or 'none'} hurt)"
 
 
 def _moved_mm(before: Trajectory, after: Trajectory) -> float | None:

@@ -78,7 +78,7 @@ def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision
     """
     is_closed = any(loop.attempt.rejection is None for loop in loops)
     given = [_given(result.given)] if result.given and result.given.verdict else []
-    each = [sentence] if (sentence := in_words(loops)) else []
+    each = [sentence] if (sentence := in_words(loops, drift)) else []
     if drift is None:
         return [_correction(result, is_closed), _loops(drift, loops), *each, *given]
     adjustment = _adjustment(drift, "given odometry" if result.given else "odometry")

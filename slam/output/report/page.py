@@ -67,6 +67,7 @@ def write_report(
             drift_drawing=drift_along_time(paths, curves(result, drift)),
             loops=[(loop, is_doubtful(loop)) for loop in listed],
             attempted=len(loops),
+            influences=any(loop.attempt.influence for loop in listed),
             used_otherwise=result.calibration is not None
             and not np.isclose(
                 result.min_similarity, result.calibration.certificate.min_similarity, atol=1e-6

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.per_metre import drift_per_metre
 from slam.geometry import se3
+from slam.output.counterfactual import left_out
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
+from slam.output.ledger import influence_record
 from slam.output.report.paths import Paths, at_keyframes
 from slam.output.report.pictures import map_points, packed, pictures
 from slam.result import SlamResult, compared
@@ -163,12 +165,17 @@ def _loop(loop: Decision, result: SlamResult) -> dict[str, Any]:
     similarity = float(loop.attempt.similarity)
     return {
         "motion": _motion(loop),
+        "left_out": _left_out(loop),
         "pair": [int(loop.match.id), int(loop.query.id)],
         "group": _group(loop),
         "similarity": similarity if np.isfinite(similarity) else None,
         "matches": packed(np.rint(pixels.clip(0.0, 1.0) * 65535).astype("<u2").tobytes()),
         "agreeing": int(agree.sum()),
     }
+
+
+def _left_out(loop: Decision) -> str:
+    return left_out(record) if (record := influence_record(loop)) else ""
 
 
 def _group(loop: Decision) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.output.counterfactual import by_influence, counterfactual, in_words
+from slam.output.counterfactual import by_influence, counterfactual, in_words, left_out
 from slam.output.decision import decisions
 from slam.types import Check, Influence, RejectionReason
 
@@ -46,8 +46,26 @@ def test_ground_truth_has_the_last_word_on_what_helped(run):
     (_, most), (_, least) = by_influence(decisions(result, drift))
     assert (most.verdict, least.verdict) == ("helped", "hurt")
     assert most.helped_mm == pytest.approx(2.0)
-    sentence = in_words(decisions(result, drift))
-    assert "1 of 2 loops helped and 1 hurt" in sentence and "helped: it moved" in sentence
+    sentence = in_words(decisions(result, drift), drift)
+    assert "helped: it moved" in sentence
+    assert left_out(most).endswith("elsewhere (RMS), its error 2 mm larger")
+    assert left_out(least).endswith("elsewhere (RMS), its error 0.5 mm smaller")
+
+
+@pytest.mark.parametrize(
+    ("shares", "said"),
+    [
+        ([0.5, -0.02, 0.009], "2 of 3 loops change the error by more than 1% (1 helped, 1 hurt)"),
+        ([0.5, 0.009, -0.009], "1 of 3 loops changes the error by more than 1% (1 helped, none"),
+        ([0.001, 0.009, -0.009], "none of 3 loops changes the error by more than 1%; the one"),
+    ],
+)
+def test_what_nobody_feels_did_not_hurt(run, shares, said):
+    """Of loops that agree each alone does next to nothing, half of them to the worse."""
+    ate_mm = 1000.0 * run.drift.corrected.ate_rmse_m
+    helped_mm = [share * ate_mm for share in shares]
+    result, drift = moving(run, [1.0, 4.0, 2.0], [5.0, 3.0, 3.0], helped_mm)
+    assert said in in_words(decisions(result, drift), drift)
 
 
 def test_loops_at_odds_with_the_others_are_counted(run):
@@ -57,9 +75,13 @@ def test_loops_at_odds_with_the_others_are_counted(run):
         ([25.0, 20.0, 3.0], "2 of 3 loops are at odds"),
     ):
         result, _ = moving(run, [1.0, 4.0, 2.0], chi_squares)
-        assert said in in_words(decisions(result, None))
+        assert said in in_words(decisions(result, None), None)
+    (_, odd), (_, agreeing), _ = by_influence(decisions(result, None))
+    assert left_out(odd).startswith("without it the map would lie 4.1 mm elsewhere (RMS)")
+    assert left_out(odd).endswith("; it contradicts the others")
+    assert left_out(agreeing).endswith("; it agrees with the others")
 
 
 def test_nothing_is_said_where_nothing_is_known(run):
-    assert in_words(decisions(run.result, None)) is None
+    assert in_words(decisions(run.result, None), None) is None
     assert counterfactual(run.result, None)["loops"] == []

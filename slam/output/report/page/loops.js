@@ -72,6 +72,7 @@ const loops = (() => {
       ["Taken", `${seconds(match)} s and ${seconds(query)} s`],
     ];
     if (loop.motion) facts.push(["Motion", loop.motion]);
+    if (loop.left_out) facts.push(["Left out", loop.left_out]);
     el("numbers").replaceChildren(
       ...facts.flatMap(([name, value]) => {
         const [term, text] = [document.createElement("dt"), document.createElement("dd")];

@@ -11,6 +11,7 @@ import pytest
 
 from slam.output.decision import decisions
 from slam.output.report.page import write_report
+from slam.types import Influence
 
 EVIL = "</script><script>document.title = 'broken'</script>"
 WIDTHS = (400, 1280, 1920)
@@ -19,7 +20,14 @@ WIDTHS = (400, 1280, 1920)
 @pytest.fixture(scope="module")
 def page(certified, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    result = replace(certified.result, warnings=(EVIL,))
+    ids = np.arange(len(certified.result.keyframes))
+    attempts = tuple(
+        replace(each, influence=Influence(ids, np.full((len(ids), 3), 1e-3 * n, np.float32), 1.0))
+        if each.rejection is None
+        else each
+        for n, each in enumerate(certified.result.attempts)
+    )
+    result = replace(certified.result, warnings=(EVIL,), attempts=attempts)
     write_report(path, result, certified.drift, f"# {EVIL}\n", EVIL)
     return path
 
@@ -205,11 +213,15 @@ def test_filter_and_order(opened) -> None:
     )
     assert kinds and all(kind.startswith("accepted") for kind in kinds)
     choose(opened, "filter", "")
-    choose(opened, "order", "similarity")
-    values = opened.run(
-        "[...document.querySelectorAll('#loops tbody tr')].map(row => +row.dataset.similarity)"
-    )
-    assert values == sorted(values, reverse=True)
+    for order in ("similarity", "influence"):
+        choose(opened, "order", order)
+        values = opened.run(
+            "[...document.querySelectorAll('#loops tbody tr')]"
+            f".map(row => +row.dataset.{order} || 0)"
+        )
+        assert values == sorted(values, reverse=True) and values[0] > 0.0
+    opened.run("document.querySelector('#loops tbody button').click()")
+    assert "Left out" in opened.run("document.getElementById('numbers').textContent")
 
 
 def test_no_button_sends_anything_anywhere(opened) -> None:
