@@ -9,12 +9,12 @@ import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import count
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -82,6 +82,8 @@ class Arguments:
     """Folder for the outputs, runs/SEQUENCE unless told; the names of several are joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
     """Installed name, module:Class, FILE.safetensors or FILE.onnx."""
+    map: Annotated[Literal["points", "mesh", "none"] | None, tyro.conf.arg(metavar="KIND")] = None
+    """Map to write, points, mesh (points, too) or none; default: as the settings say, points."""
     finish: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """SEQUENCE is the folder of a killed run: finish it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
@@ -129,7 +131,17 @@ def parse(arguments: list[str]) -> Arguments:
         )
 
     sections = {type(section).__name__: name for name, section in defaults}
-    return usage.answered("run_slam", arguments, read, sections)
+    return _with_map(usage.answered("run_slam", arguments, read, sections))
+
+
+def _with_map(told: Arguments) -> Arguments:
+    """Return the arguments with --map put among the settings."""
+    if told.map is None:
+        return told
+    chosen = {"write": told.map != "none", "mesh": told.map == "mesh"}
+    settings = told.settings
+    of_map = settings.map.model_copy(update=chosen)
+    return replace(told, settings=settings.model_copy(update={"map": of_map}))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -198,14 +198,16 @@ class EvaluationConfig(_Section):
 
 
 class MapConfig(_Section):
-    """The fused point cloud of the corrected keyframes."""
+    """The fused point cloud of the corrected keyframes, and meshes before and after."""
 
     write: bool = True
     """Write map.ply."""
+    mesh: bool = False
+    """Write mesh_before.ply and mesh_after.ply, along the odometry and along the corrected path."""
     voxel_m: Annotated[float, Field(ge=1e-4, allow_inf_nan=False)] | None = None
-    """Edge of the grid cells that points are merged in; default: 1/150 of the median depth."""
+    """Edge of the grid cells that depth is merged in; default: 1/150 of the median depth."""
     max_depth_m: PositiveFloat | None = None
-    """Depth beyond this is left out of the cloud; default: 2.5 times the median depth."""
+    """Depth beyond this is left out; default: 2.5 times the median depth."""
 
 
 class Config(_Section):

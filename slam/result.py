@@ -136,6 +136,66 @@ class GivenOdometry:
 
 
 @dataclass(frozen=True)
+class MapMesh:
+    """The map as a surface.
+
+    Attributes:
+        entropy: mean map entropy, nats; lower is sharper. NaN where too little was seen.
+        off_plane_m: root of the mean plane variance: how far points lie off a plane through those
+            around them, corners and curves included.
+        overview: (H, W, 3) uint8, a picture of the whole.
+        closer: (H, W, 3) uint8, of a part.
+    """
+
+    entropy: float
+    off_plane_m: float
+    overview: NDArray[np.uint8]
+    closer: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class MapMeshes:
+    """The map as a surface, of the same images along two paths.
+
+    Attributes:
+        before: along the odometry, None where no loop was closed.
+        after: along the corrected path.
+        closer_id: the keyframe that looked at what is seen closer: it shows most of the difference.
+    """
+
+    before: MapMesh | None
+    after: MapMesh
+    closer_id: int
+
+    @property
+    def explanation(self) -> str:
+        """How sharp they are, half a sentence."""
+        before, after = self.before, self.after
+        if before is None:
+            return (
+                f"map entropy {after.entropy:.3f}, points {1000.0 * after.off_plane_m:.1f} mm off"
+                " the planes around them; no loop was closed, so there is one mesh only"
+            )
+        change = "sharper" if after.entropy < before.entropy else "not sharper"
+        return (
+            f"map entropy {before.entropy:.3f} before, {after.entropy:.3f} after: {change}; points"
+            f" {1000.0 * before.off_plane_m:.1f} mm off the planes around them before,"
+            f" {1000.0 * after.off_plane_m:.1f} mm after"
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence where the map lost sharpness, else none."""
+        if self.before is None or not self.after.entropy > self.before.entropy:
+            return ()
+        return (
+            "the map is less sharp after loop closure than before: its entropy rose from"
+            f" {self.before.entropy:.3f} to {self.after.entropy:.3f}; compare mesh_before.ply and"
+            " mesh_after.ply",
+        )
+
+
+@dataclass(frozen=True)
 class SlamResult:
     """Everything a run found out.
 
@@ -171,6 +231,7 @@ class SlamResult:
         given: what became of an odometry from elsewhere, None where there is none.
         missing: which parts of the result could not be computed, and why; one sentence each. What
             stands for them says nothing: NaN similarities, poses that were not adjusted.
+        meshes: the map as surfaces, None where they were not asked for or could not be made.
     """
 
     camera: Camera
@@ -195,6 +256,7 @@ class SlamResult:
     given: GivenOdometry | None = None
     missing: tuple[str, ...] = ()
     threshold: ThresholdFit | None = None
+    meshes: MapMeshes | None = None
 
     @property
     def corrected(self) -> Trajectory:

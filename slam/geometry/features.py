@@ -198,6 +198,17 @@ def undistort(pixels: _Array, camera: Camera) -> _Array:
     return np.asarray(undistorted, dtype=pixels.dtype).reshape(-1, 2)
 
 
+def distort(undistorted_px: _Array, camera: Camera) -> _Array:
+    """Return (N, 2) pixels where the camera shows what an ideal pinhole camera sees at others."""
+    if len(undistorted_px) == 0 or not any(camera.distortion):
+        return undistorted_px.copy()
+    ones = np.ones(len(undistorted_px))
+    rays = back_project(undistorted_px.astype(np.float64), ones, camera)
+    coefficients, still = np.array(camera.distortion), np.zeros(3)
+    pixels, _ = cv2.projectPoints(rays, still, still, camera.matrix, coefficients)
+    return np.asarray(pixels, dtype=undistorted_px.dtype).reshape(-1, 2)
+
+
 def back_project(undistorted_px: _Array, depth_m: _Array, camera: Camera) -> _Array:
     """Return (N, 3) points, metres, camera frame, of (N, 2) undistorted pixels and (N,) depths."""
     x = (undistorted_px[:, 0] - camera.cx) / camera.fx

@@ -28,6 +28,8 @@ OUTPUTS = (
     "loops.jsonl",
     "pose_graph.g2o",
     "settings.toml",
+    "mesh_before.ply",
+    "mesh_after.ply",
     "summary.json",
     "report.html",
     "map.ply",

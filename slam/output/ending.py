@@ -100,7 +100,7 @@ def conclude(
         problems.insert(0, f"{reason_of(stopped)}; what was done until then is in {folder}")
     result = replace(result, warnings=(*doubts, *result.missing, *run.doubts(), *result.warnings))
     try:
-        write_outputs(
+        result = write_outputs(
             run.claimed,
             result,
             drift,

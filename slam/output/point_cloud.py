@@ -73,11 +73,17 @@ class VoxelMeans:
         return PointCloud(sums[:, :3], sums[:, 3:6])
 
 
-def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
-    """Return one coloured cloud, metres, world frame: the mean of the points in each voxel."""
+def sizes(result: SlamResult, config: MapConfig) -> tuple[float, float]:
+    """Return the edge of the voxels and the depth beyond which nothing is fused, metres."""
     usual_m = _median_depth_m(result)
     voxel_m = _VOXEL * usual_m if config.voxel_m is None else config.voxel_m
     max_depth_m = _MAX_DEPTH * usual_m if config.max_depth_m is None else config.max_depth_m
+    return voxel_m, max_depth_m
+
+
+def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
+    """Return one coloured cloud, metres, world frame: the mean of the points in each voxel."""
+    voxel_m, max_depth_m = sizes(result, config)
     means = VoxelMeans(voxel_m)
     for cloud in _clouds(result, voxel_m, max_depth_m):
         means.add(cloud)

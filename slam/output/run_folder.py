@@ -4,12 +4,13 @@
 import json
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from placerec.errors import Salvage, printable
+from placerec.errors import Salvage, cause_of, printable
 from placerec.files import write_atomically
 from slam.config import Config, MapConfig, to_toml
 from slam.datasets.pose_files import PoseFile, write_pose_file
@@ -19,6 +20,7 @@ from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
 from slam.output.ledger import write_ledger
 from slam.output.measurements import MEASUREMENTS, Measurements, write_measurements
+from slam.output.mesh.separate_process import MESHES, meshes_apart
 from slam.output.point_cloud import write_map
 from slam.output.summary import summarise
 from slam.result import GivenOdometry, SlamResult
@@ -64,10 +66,11 @@ def write_outputs(
     command: str,
     pose_file: PoseFile | None = None,
     measured: Measurements | None = None,
-) -> None:
+) -> SlamResult:
     """Write every output as `write_run` does, into a folder that is claimed already.
 
-    What the run measured is written where it is given.
+    What the run measured is written where it is given. Returns the result with the meshes, or with
+    a warning that says why there are none, if the config asks for them.
 
     Raises:
         LoopcloseError: files cannot be written; the others are complete and in their place.
@@ -89,22 +92,35 @@ def write_outputs(
         "loops.jsonl": lambda path: write_ledger(path, result, drift),
         "pose_graph.g2o": lambda path: _write_graph(path, result),
         "settings.toml": lambda path: write_atomically(path, settings),
-        "summary.json": lambda path: _write_summary(path, result, drift, command, list(writers)),
     }
-    if config.map.write and result.has_images:  # before the memory that the report takes is taken
-        writers["map.ply"] = lambda path: _write_map(path, result, config.map)
-    writers["report.html"] = lambda path: _write_report(path, result, drift, settings, title)
     salvage = Salvage()
     claimed.unfinished.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
-    for name, write in writers.items():  # what cannot be computed again comes first
-        path = claimed.unfinished / name
-        salvage.attempt(name, partial(write, path), None)
-        if name in salvage.missing:  # what the run had of it so far is not what it is called
-            path.unlink(missing_ok=True)
+    _write(claimed.unfinished, writers, salvage)  # what cannot be computed again comes first
+    if config.map.mesh and result.has_images:
+        result = _with_meshes(claimed.unfinished, result, config.map)
+    meshes = [name for name in MESHES if (claimed.unfinished / name).exists()]
+    later: dict[str, _Writer] = {
+        "summary.json": lambda path: _write_summary(
+            path, result, drift, command, [*writers, *meshes, *later]
+        )
+    }
+    if config.map.write and result.has_images:  # before the memory that the report takes is taken
+        later["map.ply"] = lambda path: _write_map(path, result, config.map)
+    later["report.html"] = lambda path: _write_report(path, result, drift, settings, title)
+    _write(claimed.unfinished, later, salvage)
     claimed.complete()
     if salvage.missing:
         why = next(iter(salvage.missing.values()))
         raise SlamError(f"missing: {', '.join(salvage.missing)}: {why}")
+    return result
+
+
+def _write(folder: Path, writers: dict[str, _Writer], salvage: Salvage) -> None:
+    for name, write in writers.items():
+        path = folder / name
+        salvage.attempt(name, partial(write, path), None)
+        if name in salvage.missing:  # what the run had of it so far is not what it is called
+            path.unlink(missing_ok=True)
 
 
 def begin_outputs(
@@ -157,6 +173,20 @@ def _of_given(given: GivenOdometry, pose_file: PoseFile | None) -> dict[str, _Wr
 def _write_map(path: Path, result: SlamResult, config: MapConfig) -> None:
     write_map(path, result, config)
     give_back()
+
+
+def _with_meshes(folder: Path, result: SlamResult, config: MapConfig) -> SlamResult:
+    """Write the meshes; a run is worth more than they, so that what fails is a warning."""
+    try:
+        meshes = meshes_apart(folder, result, config)
+    except Exception as error:
+        for name in MESHES:
+            (folder / name).unlink(missing_ok=True)
+        warning = f"there are no meshes: {cause_of(error)}"
+        return replace(result, warnings=(*result.warnings, warning))
+    finally:
+        give_back()
+    return replace(result, meshes=meshes, warnings=(*result.warnings, *meshes.warnings))
 
 
 def _write_report(

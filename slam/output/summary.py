@@ -12,7 +12,7 @@ from placerec.certificate import Certificate
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
 from slam.output.counterfactual import counterfactual
-from slam.result import SlamResult
+from slam.result import MapMeshes, SlamResult
 from slam.types import RejectionReason
 
 _NO_TRUTH = (("error", "not known: no ground truth to compare with"),)
@@ -54,6 +54,9 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
     - alignment, scale: how the ATE was taken; the scale is never adjusted.
     - association_tolerance_s, matched_share, truth_coverage, truth_length_m: what stands behind
       it; matched_share is that of the tracked frames.
+    - mesh: how sharp the map is, `before` along the odometry, None where no loop was closed, and
+      `after` along the corrected path: entropy, the mean map entropy in nats, and off_plane_m, the
+      root of the mean plane variance; lower is sharper. None without meshes.
     - elapsed_s, frames_per_second, stage_seconds, stage_ms_per_frame: wall time, of the run and of
       its stages, some of which overlap; None, and no stages, where it is not known.
     """
@@ -92,6 +95,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
         "threshold": _threshold(result),
         "certificate": _told(calibration.certificate) if calibration else None,
         **_errors(drift),
+        "mesh": _sharpness(result.meshes),
         "elapsed_s": result.elapsed_s,
         "frames_per_second": frames / result.elapsed_s if result.elapsed_s else None,
         "stage_seconds": dict(result.stage_seconds),
@@ -113,6 +117,17 @@ def _threshold(result: SlamResult) -> dict[str, float | None] | None:
         "other_pairs": fit.other_pairs,
         "one_place_cut": _known(fit.cut),
         "different_places_passing": _known(fit.passing),
+    }
+
+
+def _sharpness(meshes: MapMeshes | None) -> dict[str, dict[str, float | None] | None] | None:
+    if meshes is None:
+        return None
+    return {
+        name: None
+        if mesh is None
+        else {"entropy": _known(mesh.entropy), "off_plane_m": _known(mesh.off_plane_m)}
+        for name, mesh in (("before", meshes.before), ("after", meshes.after))
     }
 
 
@@ -166,6 +181,8 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         ("loops", loops),
         *(_drift_rows(drift) if drift else _NO_TRUTH),
     ]
+    if result.meshes:
+        rows.append(("mesh", result.meshes.explanation))
     if summary["frames_per_second"] is not None:
         rows.append(("pipeline", f"{summary['frames_per_second']:.1f} frames/s"))
     if result.given and result.given.verdict:

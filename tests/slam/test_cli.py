@@ -980,6 +980,16 @@ def test_a_setting_is_a_flag_named_by_section_and_option(name):
     assert arguments.settings == changed
 
 
+@pytest.mark.parametrize(
+    ("typed", "write", "mesh"),
+    [("points", True, False), ("mesh", True, True), ("none", False, False)],
+)
+def test_the_map_is_chosen_by_its_kind(typed, write, mesh):
+    arguments = parse(["demo", "--map", typed, "--map.voxel-m", "0.02"])
+    of_map = Config().map.model_copy(update={"write": write, "mesh": mesh, "voxel_m": 0.02})
+    assert arguments.settings == Config().model_copy(update={"map": of_map})
+
+
 def test_settings_without_a_default_can_be_given():
     arguments = parse(["x", "--input.camera", "cam.toml", "--loop.min-similarity", "0.5"])
     assert arguments.settings.input.camera == Path("cam.toml").absolute()
@@ -1036,6 +1046,7 @@ def test_a_settings_file_that_is_not_there_is_one_line(tmp_path):
         (["--verification.min-inliers", "0"], "--verification.min-inliers 0: input should be g"),
         (["--verification.min-inliers", "many"], "--verification.min-inliers"),
         (["--loop.min-similarity", "3"], "--loop.min-similarity 3.0: input should be 'adapted' or"),
+        (["--map", "surface"], "--map"),
         (["--map.voxel-m", "nan"], "--map.voxel-m nan: input should be"),
         (["--odometry.scale", "-1"], "--odometry.scale -1.0: input should be 'auto' or input sh"),
         (["--odometry.T-base-cam", *"0000000"], "--odometry.T-base-cam 0.0 0.0 0.0 0.0 0.0 0.0"),

@@ -20,12 +20,14 @@ from slam.output.report.headline import figures, headline
 from slam.output.report.losses import losses
 from slam.output.report.page_data import curves, page_data
 from slam.output.report.paths import gather
+from slam.output.report.pictures import picture_of
 from slam.result import SlamResult
 from slam.types import RejectionReason
 
 _MOST_ROWS = 2000
 """Decisions on the page; all of them are in the ledger."""
 
+_MAP_QUALITY = 80
 _KINDS = (FALSE, ACCEPTED, *(reason.name.lower() for reason in RejectionReason))
 _PACKAGES = ("loopclose", "gtsam", "numpy", "opencv-python-headless")
 _LIBRARY = "vendored/plotly-gl3d.min.js"
@@ -75,6 +77,7 @@ def write_report(
             moved=len({each.min_similarity for each in result.attempts}) > 1,
             paths=paths,
             losses=losses(result, paths),
+            map_pictures=_map_pictures(result),
             settings=settings_toml,
             versions=_versions(),
             data=data,
@@ -84,6 +87,24 @@ def write_report(
         )
     )
     write_atomically(path, page)
+
+
+def _map_pictures(result: SlamResult) -> list[tuple[str, str, str]]:
+    """Return of each picture of the meshes its data URI, what it shows and how it looks there."""
+    meshes = result.meshes
+    if meshes is None:
+        return []
+    each = [(meshes.before, "before loop closure")] if meshes.before else []
+    each.append((meshes.after, "after loop closure" if meshes.before else "as it was corrected"))
+    near = f"where keyframe {meshes.closer_id} looked"
+    return [
+        (picture_of(picture, picture.shape[1], _MAP_QUALITY), what, when)
+        for what, pictures in (
+            ("The whole, from above", [mesh.overview for mesh, _ in each]),
+            (f"Closer, {near}", [mesh.closer for mesh, _ in each]),
+        )
+        for picture, (_, when) in zip(pictures, each, strict=True)
+    ]
 
 
 def _environment(frames: int) -> jinja2.Environment:

@@ -12,7 +12,7 @@ from PIL import Image
 from slam.geometry.features import back_project, undistort
 from slam.output.decision import Decision
 from slam.result import SlamResult
-from slam.types import PREVIEW_SCALE, FloatArray, Frame
+from slam.types import PREVIEW_SCALE, FloatArray
 
 _PICTURES_BYTES = 2_000_000
 _WIDEST_PX, _NARROWEST_PX = 320, 160
@@ -37,7 +37,7 @@ def pictures(result: SlamResult, loops: Iterable[Decision]) -> dict[int, str]:
     left = _PICTURES_BYTES
     keyframes = {keyframe.id: keyframe for keyframe in result.keyframes}
     for number in ids:
-        picture = _picture(keyframes[number].preview, size)
+        picture = picture_of(keyframes[number].preview.rgb, size)
         left -= len(picture)
         if left < 0:
             break
@@ -45,13 +45,14 @@ def pictures(result: SlamResult, loops: Iterable[Decision]) -> dict[int, str]:
     return found
 
 
-def _picture(preview: Frame, width: int) -> str:
-    view = Image.fromarray(preview.rgb)
+def picture_of(rgb: NDArray[np.uint8], width: int, quality: int = _QUALITY) -> str:
+    """Return an image, not wider than this, as the data URI of a JPEG."""
+    view = Image.fromarray(rgb)
     if view.width > width:
         height = round(width * view.height / view.width)
         view = view.resize((width, height), Image.Resampling.BILINEAR)
     jpeg = BytesIO()
-    view.save(jpeg, "JPEG", quality=_QUALITY)
+    view.save(jpeg, "JPEG", quality=quality)
     return "data:image/jpeg;base64," + packed(jpeg.getvalue())
 
 

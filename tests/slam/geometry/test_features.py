@@ -9,7 +9,14 @@ import pytest
 from slam.config import FeaturesConfig
 from slam.datasets.cameras import FREIBURG
 from slam.geometry import se3
-from slam.geometry.features import FeatureExtractor, back_project, grey_of, match, undistort
+from slam.geometry.features import (
+    FeatureExtractor,
+    back_project,
+    distort,
+    grey_of,
+    match,
+    undistort,
+)
 from slam.types import Camera, Frame
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -128,6 +135,7 @@ def test_undistorting_undoes_the_lens():
     bent_px = bent_px.reshape(-1, 2)
     assert np.abs(bent_px - ideal_px).max() > 1.0
     np.testing.assert_allclose(undistort(bent_px, camera), ideal_px, atol=0.05)
+    np.testing.assert_allclose(distort(ideal_px, camera), bent_px, atol=0.05)
 
 
 def test_an_ideal_lens_is_left_alone_and_not_aliased():
@@ -136,7 +144,9 @@ def test_an_ideal_lens_is_left_alone_and_not_aliased():
     np.testing.assert_array_equal(undistorted, pixels)
     undistorted[:] = 0.0
     assert pixels[0, 0] == 1.5
-    assert undistort(np.zeros((0, 2)), FREIBURG["1"]).shape == (0, 2)
+    np.testing.assert_array_equal(distort(pixels, CAMERA), pixels)
+    for bend in (undistort, distort):
+        assert bend(np.zeros((0, 2)), FREIBURG["1"]).shape == (0, 2)
 
 
 def test_back_projection_is_the_inverse_of_the_pinhole():

@@ -14,9 +14,11 @@ from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_config
 from slam.evaluation.drift import compare_drift
 from slam.evaluation.trajectory import read_tum
+from slam.output import run_folder
 from slam.output.ledger import read_ledger
 from slam.output.report import page
 from slam.output.run_folder import write_run
+from slam.result import MapMesh, MapMeshes
 from slam.system import Slam
 from slam.types import Rejection, RejectionReason, RelativePose, SlamError, Trajectory
 
@@ -212,6 +214,36 @@ def test_a_full_disk_leaves_the_files_before_it_whole(
     assert names(tmp_path) == sorted(complete)
     for name in complete:
         assert (tmp_path / name).read_bytes() == (written / name).read_bytes()
+
+
+def test_meshes_come_before_the_figures_that_tell_of_them(tmp_path, monkeypatch, result):
+    picture = np.zeros((6, 8, 3), np.uint8)
+
+    def made(folder, *_):
+        assert (folder / "trajectory.txt").exists() and not (folder / "summary.json").exists()
+        (folder / "mesh_after.ply").write_text("ply")
+        return MapMeshes(None, MapMesh(-5.0, 0.01, picture, picture), 0)
+
+    monkeypatch.setattr(run_folder, "meshes_apart", made)
+    write_run(tmp_path, result, None, None, Config(map=MapConfig(write=False, mesh=True)), *NAMES)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["mesh"] == {"before": None, "after": {"entropy": -5.0, "off_plane_m": 0.01}}
+    assert "mesh_after.ply" in names(tmp_path) and sorted(summary["files"]) == names(tmp_path)
+
+
+def test_meshes_that_fail_cost_a_warning_and_nothing_else(tmp_path, monkeypatch, result):
+    def fail(folder, *_):
+        (folder / "mesh_before.ply").write_text("half")
+        raise SlamError("the process that makes them was ended by SIGKILL")
+
+    monkeypatch.setattr(run_folder, "meshes_apart", fail)
+    config = CONFIG.model_copy(update={"map": MapConfig(voxel_m=0.05, mesh=True)})
+    write_run(tmp_path, result, None, None, config, *NAMES)
+    assert names(tmp_path) == sorted(set(IN_ORDER) - {"groundtruth.txt"})
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    why = "there are no meshes: the process that makes them was ended by SIGKILL"
+    assert summary["mesh"] is None and summary["warnings"][-1] == why
+    assert why in (tmp_path / "report.html").read_text()
 
 
 def test_one_output_that_cannot_be_made_does_not_cost_the_others(tmp_path, monkeypatch, result):

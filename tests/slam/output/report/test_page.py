@@ -18,7 +18,7 @@ from slam.output.decision import decisions
 from slam.output.report import page_data
 from slam.output.report.page import write_report
 from slam.output.summary import summarise
-from slam.result import SlamResult, ThresholdFit
+from slam.result import MapMesh, MapMeshes, SlamResult, ThresholdFit
 from slam.types import RejectionReason, RelativePose, Trajectory
 
 SECTIONS = ("explore", "drift", "places", "recognizer", "losses", "time", "settings")
@@ -95,6 +95,40 @@ def test_all_sections_are_there_and_every_tag_is_closed(page: Page) -> None:
     targets = [attributes["href"] for attributes in page.all("a")]
     assert targets == ["#explore", *(f"#{section}" for section in SECTIONS)]
     assert page.open == []
+
+
+def with_meshes(result: SlamResult, before: float | None, after: float) -> SlamResult:
+    picture = np.full((54, 72, 3), 90, np.uint8)
+    of = [entropy and MapMesh(entropy, 0.01, picture, picture) for entropy in (before, after)]
+    meshes = MapMeshes(of[0], of[1], 7)
+    return replace(result, meshes=meshes, warnings=meshes.warnings)
+
+
+def test_meshes_are_shown_before_and_after_with_how_sharp_they_are(run) -> None:
+    page = page_of(with_meshes(run.result, -5.0, -5.5), run.drift)
+    assert "map entropy -5.000 before, -5.500 after: sharper" in page.text
+    pictures = page.all("img")
+    assert [each["alt"] for each in pictures] == [
+        "The whole, from above, before loop closure.",
+        "The whole, from above, after loop closure.",
+        "Closer, where keyframe 7 looked, before loop closure.",
+        "Closer, where keyframe 7 looked, after loop closure.",
+    ]
+    assert all(each["src"].startswith("data:image/jpeg;base64,/9j/") for each in pictures)
+    assert "#map" in [each.get("href") for each in page.all("a")]
+    assert "Before you trust" not in page.text and page.open == []
+
+
+def test_a_map_that_is_less_sharp_after_is_not_passed_over(run) -> None:
+    text = page_of(with_meshes(run.result, -5.5, -5.0), run.drift).text
+    assert "Before you trust this result the map is less sharp after loop closure" in text
+    assert "not sharper" in text
+
+
+def test_one_mesh_is_shown_alone(run) -> None:
+    page = page_of(with_meshes(run.result, None, -5.0), run.drift)
+    assert "no loop was closed, so there is one mesh only" in page.text
+    assert len(page.all("img")) == 2 and "before along" not in page.text
 
 
 def test_nothing_is_loaded_from_elsewhere(page: Page, text: str) -> None:
