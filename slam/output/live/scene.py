@@ -319,7 +319,7 @@ def _blueprint() -> Any:
     beside = rrb.Vertical(
         rrb.Spatial2DView(origin="world/camera/colour", name="camera"),
         rrb.Spatial2DView(origin="matches", name="the last loop"),
-        rrb.Tabs(*(rrb.TimeSeriesView(origin=f"plots/{each}") for each in _PLOTS)),
+        rrb.Tabs(*(rrb.TimeSeriesView(origin=f"plots/{each}") for each in _PLOTS), active_tab=0),
         rrb.TextLogView(origin="log", name="loops"),
     )
     space = rrb.Spatial3DView(origin="world", name="path and map")

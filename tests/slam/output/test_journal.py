@@ -149,7 +149,7 @@ def test_it_is_on_disk_while_the_run_goes_on(tmp_path, sequence, monkeypatch):
         deadline = time.monotonic() + 30.0
         while not read_journal(tmp_path).frames and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert read_journal(tmp_path).frames == [(1.0, None)]
+        assert read_journal(tmp_path).frames == [(0.0, None)]
 
 
 def test_a_run_is_worth_more_than_its_journal(tmp_path, sequence, monkeypatch):
