@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from slam.loops.correction import Correction as Correction
     from slam.output.ledger import LoopRecord as LoopRecord
     from slam.output.ledger import read_ledger as read_ledger
+    from slam.output.live.view import LiveView as LiveView
     from slam.output.run_folder import write_run as write_run
     from slam.pose_graph.from_g2o import solve_g2o as solve_g2o
     from slam.result import SlamResult as SlamResult
@@ -39,6 +40,7 @@ _HOME = {
     "Correction": "slam.loops.correction",
     "Frame": "slam.types",
     "Keyframe": "slam.types",
+    "LiveView": "slam.output.live.view",
     "LoopAttempt": "slam.types",
     "LoopRecord": "slam.output.ledger",
     "LoopcloseError": "placerec.errors",

@@ -3,17 +3,14 @@
 
 import gc
 import logging
-import math
 import shlex
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from itertools import count
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -24,15 +21,12 @@ from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
 from slam.config import Config, load_config
-from slam.types import Frame, SlamError
+from slam.types import SlamError
 
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
     from slam.datasets.pose_files import PoseFile
-    from slam.external_odometry.pose_feed import PoseFeed
     from slam.output.ending import Ended
-    from slam.output.journal import JournalWriter
-    from slam.system import Slam
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
@@ -77,7 +71,7 @@ class Arguments:
     ] = ()
     """Later recordings of the same camera; all are to make one map."""
     odometry: Annotated[Path | None, tyro.conf.arg(metavar="POSES")] = None
-    """File of another odometry's poses, of the camera or its body."""
+    """Another odometry's poses, of the camera or its body."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs, runs/SEQUENCE unless told; the names of several are joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
@@ -88,6 +82,10 @@ class Arguments:
     """SEQUENCE is the folder of a killed run: finish it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings; flags win over it. Every run writes its own settings.toml."""
+    live: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the run in a Rerun viewer. As it goes on; this needs the extra `live`."""
+    rrd: Annotated[Path | None, tyro.conf.arg(metavar="FILE.rrd")] = None
+    """Keep what --live shows. It is FILE.unfinished.rrd until the end, and for good if killed."""
     settings: Annotated[Config, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = field(
         default_factory=Config
     )
@@ -167,6 +165,7 @@ def _work(typed: list[str]) -> int:
 
 
 def _run(arguments: Arguments) -> None:
+    from slam.commands.frames import process
     from slam.datasets import Sessions
     from slam.external_odometry.pose_feed import PoseFeed
     from slam.geometry.features import search_images_on_one_thread
@@ -174,9 +173,13 @@ def _run(arguments: Arguments) -> None:
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude, reason_of
     from slam.output.journal import Header, JournalWriter
+    from slam.output.live.view import LiveView, check_live
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam
 
+    is_shown = arguments.live or arguments.rrd is not None
+    if is_shown:
+        check_live(arguments.rrd)
     share_between_threads()
     search_images_on_one_thread()
     folder = arguments.out or Path("runs") / arguments.title
@@ -203,14 +206,19 @@ def _run(arguments: Arguments) -> None:
         begin_outputs(claimed, settings, header.command, run.truth)
         journal = JournalWriter(claimed.unfinished, header, slam)
         feed = PoseFeed(slam, poses.trajectory if poses else None)
-        with _kept(claimed.path), deferred_interrupts() as interrupted:
+        view = LiveView(slam, sessions.camera, arguments.live, arguments.rrd) if is_shown else None
+        listeners = (journal, view) if view else (journal,)
+        with view or nullcontext(), _kept(claimed.path), deferred_interrupts() as interrupted:
             with journal:
-                stopped = _process(slam, sessions, feed, journal, interrupted)
+                stopped = process(slam, sessions.recordings, feed, listeners, interrupted)
             if not slam.has_keyframes:
                 claimed.discard()
                 if stopped:
                     raise SlamError(reason_of(stopped)) from stopped
-            _tell(conclude(run, slam, stopped, journal.failure))
+            ended = conclude(run, slam, stopped, journal.failure)
+            if view:  # all is written by now
+                view.finish(ended.result)
+            _tell(ended)
 
 
 def _finish(arguments: Arguments) -> None:
@@ -299,43 +307,6 @@ def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFil
         odometry = settings.odometry.model_copy(update={"T_base_cam": poses.T_base_cam})
         settings = settings.model_copy(update={"odometry": odometry})
     return poses, settings
-
-
-def _process(
-    slam: "Slam",
-    sessions: "Sessions",
-    feed: "PoseFeed",
-    journal: "JournalWriter",
-    interrupted: Event,
-) -> BaseException | None:
-    """Feed all frames; return what stopped it early, so that the frames until then are kept."""
-    try:
-        for recording in sessions.recordings:
-            slam.start_session()
-            journal.start_session()
-            for frame in _timed(slam, recording):
-                feed.until(frame.timestamp_s)
-                journal.add(frame.timestamp_s, slam.process(frame))
-                if interrupted.is_set():  # half a keyframe could not be finished
-                    return KeyboardInterrupt()
-        feed.until(math.inf)
-        slam.settle()  # if the recognizer failed on one of the last keyframes, say so
-    except Exception as stopped:
-        _log.debug("the run stopped early", exc_info=True)
-        return stopped
-    return None
-
-
-def _timed(slam: "Slam", sequence: "Sequence") -> Iterator[Frame]:
-    frames = iter(sequence)
-    with progress_bar("tracking", len(sequence), "frame") as progress:
-        for done in count(1):
-            with slam.clock.stage("read"):
-                frame = next(frames, None)
-            if frame is None:
-                return
-            yield frame
-            progress(done)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sub-commands of `run_slam`, one to a file with a `main` that takes what follows its name.
 
-`drift_report` is a command of its own.
+`drift_report` is a command of its own; what others share stands beside them.
 """
 
 COMMANDS = {

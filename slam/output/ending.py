@@ -54,10 +54,12 @@ class Ended:
     Attributes:
         table: the run in a few lines.
         problems: what is missing and why; none after a good run.
+        result: what it found out.
     """
 
     table: str
     problems: tuple[str, ...]
+    result: SlamResult
 
 
 def reason_of(stopped: BaseException) -> str:
@@ -121,7 +123,7 @@ def conclude(
         )
     if result.given and not result.given.fits:
         problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
-    return Ended(summary_table(result, drift, folder), (*problems, *result.missing))
+    return Ended(summary_table(result, drift, folder), (*problems, *result.missing), result)
 
 
 def _measured(run: Run, slam: Slam, is_whole: bool) -> Measurements:

@@ -124,9 +124,9 @@ class JournalWriter:
         """Take the next frame for the first of another recording."""
         self._news.append((np.nan, None))
 
-    def add(self, timestamp_s: float, tracked: TrackedFrame | Rejection) -> None:
+    def add(self, frame: Frame, tracked: TrackedFrame | Rejection) -> None:
         """Add what became of a frame."""
-        self._news.append((timestamp_s, tracked))
+        self._news.append((frame.timestamp_s, tracked))
 
     def _write_at_times(self) -> None:
         try:

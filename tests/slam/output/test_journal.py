@@ -39,7 +39,7 @@ def kept(tmp_path_factory, frames, sequence):
         writer.start_session()
         for frame in frames:
             found.append((frame.timestamp_s, slam.process(frame)))
-            writer.add(*found[-1])
+            writer.add(frame, found[-1][1])
         slam.settle()
     assert writer.failure is None
     return folder, found, slam
@@ -145,11 +145,11 @@ def test_it_is_on_disk_while_the_run_goes_on(tmp_path, sequence, monkeypatch):
     monkeypatch.setattr(journal, "_EVERY_S", 0.01)
     slam = Slam(sequence.camera, GradientRecognizer())
     with JournalWriter(tmp_path, header_of(sequence), slam) as writer:
-        writer.add(1.0, Rejection("none", 0.0, 1.0))
+        writer.add(journal.blank_preview(sequence.camera), Rejection("none", 0.0, 1.0))
         deadline = time.monotonic() + 30.0
         while not read_journal(tmp_path).frames and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert read_journal(tmp_path).frames == [(1.0, None)]
+        assert read_journal(tmp_path).frames == [(0.0, None)]
 
 
 def test_a_run_is_worth_more_than_its_journal(tmp_path, sequence, monkeypatch):
@@ -158,5 +158,5 @@ def test_a_run_is_worth_more_than_its_journal(tmp_path, sequence, monkeypatch):
     folder.mkdir()
     with JournalWriter(folder, header_of(sequence), slam) as writer:
         folder.rename(tmp_path / "gone")
-        writer.add(1.0, Rejection("none", 0.0, 1.0))
+        writer.add(journal.blank_preview(sequence.camera), Rejection("none", 0.0, 1.0))
     assert isinstance(writer.failure, FileNotFoundError)
