@@ -23,6 +23,7 @@ from slam.loops.cost_of_odometry import borne_out
 from slam.loops.evidence import Evidence
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
+from slam.loops.settled import Settled
 from slam.loops.stage_clock import StageClock
 from slam.pose_graph import GraphSolution, PoseGraph, leave_one_out, solve_beside
 from slam.types import (
@@ -90,6 +91,7 @@ class BackEnd:
         self._schedule = CorrectionSchedule()
         self._solving: list[Future[None]] = []
         self._solved: Mapping[int, FloatArray] = {}  # what the last correction was made of
+        self._settled = Settled()
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: Exception | None = None  # nothing after it is taken in
         self.attempts: list[LoopAttempt] = []
@@ -291,11 +293,15 @@ class BackEnd:
 
     def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):
-            largest, solution = borne_out(largest, by_images, self._solve_beside)
+            settled = self._settled.of(largest.graph)
+
+            def solved(graph: PoseGraph) -> GraphSolution:
+                graph = replace(graph, solved=self._solved)
+                return solve_beside(graph, self._inlier_probability, settled)
+
+            largest, solution = borne_out(largest, by_images, solved)
+            self._settled.take(solution.T_world_kf, largest.trust)
         self._solved, before = solution.T_world_kf, self.corrections[-1]
         self.corrections.append(largest.correction(before, newest_id, solution))
         if largest.graph.is_large:  # each has all keyframes again, and the newest alone is asked
             self.corrections[-2] = replace(before, T_world_kf={})
-
-    def _solve_beside(self, graph: PoseGraph) -> GraphSolution:
-        return solve_beside(replace(graph, solved=self._solved), self._inlier_probability)

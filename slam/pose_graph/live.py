@@ -6,11 +6,15 @@ meanwhile. So the corrections on the way are found here: graduated non-convexity
 `solve` minimises, by Gauss-Newton steps on arrays. `solve` has the last word.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 from scipy.special import gammaincinv
 
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.motion_system import MotionSystem
+from slam.pose_graph.unsettled_part import unsettled_part
 from slam.types import FloatArray
 
 _CONVEXITY_STEP = 1.4  # by how much the cost comes nearer to the true one in a round
@@ -21,10 +25,23 @@ _MOST_ROUNDS = 60
 _POLISH_STEPS = 3  # once it is clear which loops hold
 
 
-def solve_beside(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
-    """Return about what `solve` would, without its warnings, and let other threads run."""
+def solve_beside(
+    graph: PoseGraph,
+    inlier_probability: float,
+    settled: Mapping[int, FloatArray] = MappingProxyType({}),
+) -> GraphSolution:
+    """Return about what `solve` would, without its warnings, and let other threads run.
+
+    Settled keyframes stay at their (4, 4) poses, by id: what is new is laid to them, and loops
+    between two of them are not weighed again.
+    """
     if not graph.loops and not graph.steps:
         return GraphSolution(dict(graph.T_world_kf), {})
+    settled = {k: settled[k] for k in graph.T_world_kf if k in settled}
+    if settled:
+        rest = solve_beside(unsettled_part(graph, settled), inlier_probability)
+        T_world_kf = {**rest.T_world_kf, **settled}
+        return GraphSolution({k: T_world_kf[k] for k in graph.T_world_kf}, rest.weights)
     system = MotionSystem(graph)
     limit = squared_error_limit(inlier_probability, graph.is_planar)
     T, squared = graduated(system, limit)

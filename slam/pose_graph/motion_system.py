@@ -2,7 +2,7 @@
 """The motions of a pose graph as arrays, and Gauss-Newton steps towards where they agree."""
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import scipy.sparse
@@ -41,7 +41,9 @@ class MotionSystem:
         motions = [*graph.links, *graph.steps, *graph.loops.values()]
         self.is_solved = graph.is_large and next(iter(graph.T_world_kf)) in graph.solved
         self.T_links = np.array([*graph.T_world_kf.values()])
-        self.T_start = _start(graph) if self.is_solved else self.T_links
+        self.T_start = self.T_links
+        if self.is_solved:
+            self.T_start = start_from(graph.T_world_kf, graph.solved)
         self.first_loop = len(graph.links) + len(graph.steps)
         self.loop_count = len(graph.loops)
         self.is_planar = graph.is_planar
@@ -217,12 +219,15 @@ class MotionSystem:
         return se3.log(self._T_query_ref[chosen] @ T_ref_query)
 
 
-def _start(graph: PoseGraph) -> FloatArray:
-    T_begin = np.array([*graph.T_world_kf.values()])
-    is_known = np.array([k in graph.solved for k in graph.T_world_kf])
-    rows = np.arange(len(T_begin))
-    last = np.maximum.accumulate(np.where(is_known, rows, 0))
-    T_solved = T_begin.copy()
-    T_solved[is_known] = [graph.solved[k] for k in graph.T_world_kf if k in graph.solved]
-    T_moved = T_begin[0] @ se3.inverse(T_solved[0]) @ T_solved[last]
-    return np.asarray(T_moved @ se3.inverse(T_begin[last]) @ T_begin)
+def start_from(T_begin: Mapping[int, FloatArray], solved: Mapping[int, FloatArray]) -> FloatArray:
+    """Return (K, 4, 4): where an earlier solution has keyframes; others go on from the last there.
+
+    Both have (4, 4) by keyframe id, the first one among the solved, which stays where it begins.
+    """
+    T_beginning = np.array([*T_begin.values()])
+    is_known = np.array([k in solved for k in T_begin])
+    last = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), 0))
+    T_solved = T_beginning.copy()
+    T_solved[is_known] = [solved[k] for k in T_begin if k in solved]
+    T_moved = T_beginning[0] @ se3.inverse(T_solved[0]) @ T_solved[last]
+    return np.asarray(T_moved @ se3.inverse(T_beginning[last]) @ T_beginning)
