@@ -75,7 +75,7 @@ class Arguments:
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the outputs, runs/SEQUENCE unless told; the names of several are joined by +."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
-    """Installed name, module:Class, FILE.safetensors or FILE.onnx."""
+    """Installed name, module:Class, or file. A file is FILE.safetensors or FILE.onnx."""
     map: Annotated[Literal["points", "mesh", "none"] | None, tyro.conf.arg(metavar="KIND")] = None
     """Map to write, points, mesh (points, too) or none; default: as the settings say, points."""
     finish: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
