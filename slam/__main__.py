@@ -23,6 +23,7 @@ from placerec.commands.console import answer, note, progress_bar, say
 from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
+from slam.commands.opening import DEFAULT_RECOGNIZER, opened
 from slam.config import Config, load_config
 from slam.types import Frame, SlamError
 
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from slam.output.journal import JournalWriter
     from slam.system import Slam
 
-DEFAULT_RECOGNIZER = "learned"
-DEMO = "demo"
 _COMPILING = "compiling the inner loops for this machine, which takes some seconds, once"
 _log = logging.getLogger("slam")
 
@@ -170,7 +169,9 @@ def _run(arguments: Arguments) -> None:
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
-        sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
+        sessions = Sessions(
+            [opened(each, arguments.settings.input, folder) for each in arguments.sequences]
+        )
         poses, settings = _read_odometry(arguments, sessions)
         claimed.refuse_foreign(OUTPUTS)
         # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
@@ -253,24 +254,6 @@ def _tell(ended: "Ended") -> None:
         problems.append(str(error))
     if problems:
         raise SlamError("; ".join(problems))
-
-
-def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
-    from slam.datasets import open_sequence, resolve
-
-    if name != DEMO:
-        with progress_bar("fetching", unit="B") as progress:
-            path = resolve(name, progress)
-    elif not (path := folder / "sequence").exists():
-        from slam.demo.separate_process import render_apart
-
-        with progress_bar("rendering", unit="frame") as progress:
-            render_apart(path, progress)
-    note(f"reading {path}")
-    sequence = open_sequence(path, arguments.settings.input)
-    for warning in sequence.warnings:  # now, for they may tell why the run fails
-        _log.warning("%s", warning)
-    return sequence
 
 
 def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFile | None", Config]:
