@@ -47,6 +47,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
   run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
   run_slam replay runs/fr1_desk    decide again: run_slam replay --help
+  run_slam stress demo             how much may be wrong: run_slam stress --help
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
