@@ -9,11 +9,13 @@ import tyro
 
 from placerec.commands import usage
 from placerec.commands.console import note, progress_bar, say
+from placerec.recognizer import load
 from slam.commands.opening import DEFAULT_RECOGNIZER, opened
 from slam.config import Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
+    from slam.datasets import Sessions
     from slam.output.stress.folder import StressFolder
     from slam.output.stress.trials import Bench
 
@@ -73,6 +75,7 @@ def main(typed: list[str]) -> int:
 
 def _stress(told: Arguments, names: list[str], config: Config, folder: Path) -> None:
     # Loaded from here on, so that --help and typing errors answer at once.
+    from slam.datasets import Sessions
     from slam.geometry.features import search_images_on_one_thread
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.comparison.tables import as_text
@@ -89,8 +92,10 @@ def _stress(told: Arguments, names: list[str], config: Config, folder: Path) -> 
             "seed": told.seed,
             "settings": config.model_dump(mode="json"),
         }
-        kept.begin(asked)
-        bench = _bench(told, config, folder, kept)
+        load(told.recognizer)  # before the demo is rendered for one that there is not
+        sessions = Sessions([opened(told.sequence, config.input, folder)])
+        kept.begin(asked)  # from here on the folder is not left empty
+        bench = _bench(told, config, sessions, kept)
         _try(bench, names, kept)
         clean, trials = bench.clean_outcome(), kept.trials()
         kept.write({**as_files(clean, trials, asked), **curves(clean, trials)})
@@ -99,15 +104,12 @@ def _stress(told: Arguments, names: list[str], config: Config, folder: Path) -> 
         say(f"{'written':<10} {folder / 'tolerance.png'}, .svg, .csv and .json")
 
 
-def _bench(told: Arguments, config: Config, folder: Path, kept: "StressFolder") -> "Bench":
+def _bench(told: Arguments, config: Config, sessions: "Sessions", kept: "StressFolder") -> "Bench":
     """Return the recording with its clean run, which is done unless it was kept."""
-    from placerec.recognizer import load
-    from slam.datasets import Sessions
     from slam.output.stress.clean_run import decide, measure
     from slam.output.stress.stressors import CLEAN
     from slam.output.stress.trials import Bench
 
-    sessions = Sessions([opened(told.sequence, config.input, folder)])
     if not kept.clean.exists():
         recognizer = load(told.recognizer)
         with progress_bar(CLEAN, len(sessions.timestamps_s), "frame") as progress:

@@ -97,6 +97,22 @@ def test_what_cannot_be_is_one_line(stressed, recording, capsys, asked, told):
     assert told in said[-1] and said[-1].startswith("run_slam stress: ")
 
 
+def test_a_sequence_that_is_not_there_leaves_no_folder_behind(tmp_path, capsys):
+    assert main(["stress", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert "none" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_without_ground_truth_it_says_what_it_compares_with(short_recording, tmp_path, capsys):
+    recording, out = short_recording(30), tmp_path / "out"
+    (recording / "groundtruth.txt").unlink()
+    asked = ("--recognizer", "gradients", "--only", "odometry-noise", "--out", str(out))
+    assert main(["stress", str(recording), *asked]) == 0
+    assert "there is no ground truth: how far from the clean run" in capsys.readouterr().out
+    told = json.loads((out / "tolerance.json").read_text())
+    assert not told["clean"]["has_truth"] and told["clean"]["ate_m"] < 1e-9
+    assert trials(out, "odometry-noise")[1]["ate_odometry_m"] > 1e-3
+
+
 def test_somebodys_files_are_not_written_over(recording, tmp_path, capsys):
     (tmp_path / "tolerance.csv").write_text("mine")
     assert main(["stress", str(recording), *ASKED, "--out", str(tmp_path)]) == 2
