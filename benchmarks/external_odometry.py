@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from placerec.recognizer import load
 from slam import Config, Slam, SlamResult, compare_drift, open_sequence
-from slam.__main__ import DEFAULT_RECOGNIZER, DEMO
+from slam.commands.opening import DEFAULT_RECOGNIZER, DEMO
 from slam.datasets import Sequence, resolve
 from slam.datasets.pose_files import read_pose_file
 from slam.demo.recording import render_sequence

@@ -37,7 +37,7 @@ from placerec.drawing import canvas, line_styles, png, svg
 from placerec.index import PlaceIndex
 from placerec.recognizer import load
 from slam import Camera, Config, Frame, Slam, TrackedFrame, Trajectory, compare_drift
-from slam.__main__ import DEFAULT_RECOGNIZER
+from slam.commands.opening import DEFAULT_RECOGNIZER
 from slam.demo import LAP_S
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.demo.layout import furnished_room

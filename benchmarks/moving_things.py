@@ -11,12 +11,8 @@ whether the run warns of it.
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import islice
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from placerec.recognizer import load
@@ -24,9 +20,8 @@ from slam import Frame, Slam, open_sequence
 from slam.config import EvaluationConfig, InputConfig
 from slam.datasets import Sequence, resolve
 from slam.evaluation.drift import trajectory_error
+from slam.evaluation.stress.moving_board import board, covered
 
-_NEAR_M = 0.7
-_COLOUR_PX = 10
 # Width and height as shares of the image, pixels from frame to frame, and the frame it appears in.
 _BOARDS = (
     (0.0, 0.0, 0, 0),
@@ -51,8 +46,8 @@ def main() -> None:
     sequence = open_sequence(resolve(arguments.sequence), InputConfig())
     print("| of the image | pixels a frame | from frame | ATE | warned |")
     print("|---|---|---|---|---|")
-    for board in tqdm(_BOARDS, leave=False):
-        tqdm.write(_row(sequence, arguments.frames, *board))
+    for each in tqdm(_BOARDS, leave=False):
+        tqdm.write(_row(sequence, arguments.frames, *each))
 
 
 def _row(
@@ -73,27 +68,9 @@ def _row(
 def _covered(
     frames: Iterator[Frame], size: tuple[int, int], step_px: int, first: int
 ) -> Iterator[Frame]:
-    board = _board(*size)
-    height, width = board.shape[:2]
+    image = board(*size)
     for number, frame in enumerate(frames):
-        if not board.size or number < first:
-            yield frame
-            continue
-        rgb, depth_m = frame.rgb.copy(), frame.depth_m.copy()
-        left = (number - first) * step_px % (rgb.shape[1] - width)
-        top = (rgb.shape[0] - height) // 2
-        here = slice(top, top + height), slice(left, left + width)
-        rgb[here], depth_m[here] = board, _NEAR_M
-        yield replace(frame, rgb=rgb, depth_m=depth_m)
-
-
-def _board(width: int, height: int) -> NDArray[np.uint8]:
-    if not width or not height:
-        return np.zeros((0, 0, 3), np.uint8)
-    shape = (height // _COLOUR_PX, width // _COLOUR_PX, 3)
-    colours = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
-    board = cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(board, np.uint8)
+        yield frame if number < first else covered(frame, image, (number - first) * step_px)
 
 
 if __name__ == "__main__":

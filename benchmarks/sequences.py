@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from placerec.files import cache_folder
-from slam.__main__ import DEFAULT_RECOGNIZER, DEMO
+from slam.commands.opening import DEFAULT_RECOGNIZER, DEMO
 
 NAMES = (DEMO, "fr1_desk", "fr1_xyz")
 SAME_EVERY_RUN = ("trajectory.txt", "loops.jsonl")

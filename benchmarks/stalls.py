@@ -28,7 +28,7 @@ from sequences import find, machine  # type: ignore[import-not-found]  # beside 
 
 from placerec.recognizer import PlaceRecognizer, load
 from slam import Config, Slam, TrackedFrame, open_sequence
-from slam.__main__ import DEFAULT_RECOGNIZER
+from slam.commands.opening import DEFAULT_RECOGNIZER
 from slam.datasets import Sequence
 from slam.geometry.features import FeatureExtractor
 from slam.geometry.keyframe_memory import KeyframeMemory

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from placerec.recognizer import PlaceRecognizer, load
 from slam import Config, Slam, SlamResult, compare_drift, open_sequence, read_tum
-from slam.__main__ import DEFAULT_RECOGNIZER
+from slam.commands.opening import DEFAULT_RECOGNIZER
 from slam.datasets import Sequence, read_camera, write_camera
 from slam.datasets.cameras import CAMERA_FILE
 from slam.demo.recording import FRAMES_PER_S, LAP_S, render_sequence

@@ -20,6 +20,7 @@ from placerec.commands.console import answer, note, progress_bar, say
 from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
+from slam.commands.opening import DEFAULT_RECOGNIZER, opened
 from slam.config import Config, load_config
 from slam.types import SlamError
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from slam.datasets.pose_files import PoseFile
     from slam.output.ending import Ended
 
-DEFAULT_RECOGNIZER = "learned"
-DEMO = "demo"
 _COMPILING = "compiling the inner loops for this machine, which takes some seconds, once"
 _log = logging.getLogger("slam")
 
@@ -42,6 +41,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
   run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
   run_slam replay runs/fr1_desk    decide again: run_slam replay --help
+  run_slam stress demo             how much may be wrong: run_slam stress --help
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -185,7 +185,9 @@ def _run(arguments: Arguments) -> None:
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
-        sessions = Sessions([_open(each, arguments, folder) for each in arguments.sequences])
+        sessions = Sessions(
+            [opened(each, arguments.settings.input, folder) for each in arguments.sequences]
+        )
         poses, settings = _read_odometry(arguments, sessions)
         claimed.refuse_foreign(OUTPUTS)
         # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
@@ -273,24 +275,6 @@ def _tell(ended: "Ended") -> None:
         problems.append(str(error))
     if problems:
         raise SlamError("; ".join(problems))
-
-
-def _open(name: str, arguments: Arguments, folder: Path) -> "Sequence":
-    from slam.datasets import open_sequence, resolve
-
-    if name != DEMO:
-        with progress_bar("fetching", unit="B") as progress:
-            path = resolve(name, progress)
-    elif not (path := folder / "sequence").exists():
-        from slam.demo.separate_process import render_apart
-
-        with progress_bar("rendering", unit="frame") as progress:
-            render_apart(path, progress)
-    note(f"reading {path}")
-    sequence = open_sequence(path, arguments.settings.input)
-    for warning in sequence.warnings:  # now, for they may tell why the run fails
-        _log.warning("%s", warning)
-    return sequence
 
 
 def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFile | None", Config]:

@@ -7,5 +7,6 @@
 COMMANDS = {
     "compare": "show finished runs side by side: errors, loops, warnings, differing settings",
     "replay": "decide about the loops of a run again, with other settings and without its images",
+    "stress": "make a recording worse step by step, and draw what is tolerated",
 }
 """What each does, by the name of its file."""

@@ -45,14 +45,17 @@ class ReplayedSlam(Slam):
     def __init__(
         self, journal: Journal, config: Config, remembered: Remembered | None = None
     ) -> None:
-        """Begin; what is remembered of the keyframes lets their loops be decided again."""
+        """Begin; what is remembered of the keyframes lets their loops be decided again.
+
+        Those that the journal has are taken as they were found.
+        """
         camera = journal.header.camera
         super().__init__(camera, _Nobody(journal.header.min_similarity), config)
         self._journal = journal
         self._remembered = remembered
         self._back_end.loop_closer = (
             _RememberedLoops(journal.header, remembered, config)
-            if remembered
+            if remembered and not journal.attempts
             else _RecordedLoops(journal, config)
         )
         self._T_odom_kf: dict[int, FloatArray] = {}
