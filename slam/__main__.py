@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from placerec.commands import usage
-from placerec.commands.console import answer, note, progress_bar, say
+from placerec.commands.console import answer, note, say
 from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
@@ -25,7 +25,7 @@ from slam.config import Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
-    from slam.datasets import Sequence, Sessions
+    from slam.datasets import Sessions
     from slam.datasets.pose_files import PoseFile
     from slam.output.ending import Ended
 
@@ -39,9 +39,8 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
-  run_slam replay runs/fr1_desk    decide again: run_slam replay --help
-  run_slam stress demo             how much may be wrong: run_slam stress --help
+  run_slam compare runs/a runs/b   runs side by side
+  run_slam COMMAND --help          COMMAND is compare, replay or stress
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
