@@ -39,8 +39,8 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   runs side by side
-  run_slam COMMAND --help          COMMAND is compare, replay or stress
+  run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
+  run_slam replay runs/a           decide again; run_slam stress: make it worse
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
