@@ -116,7 +116,7 @@ def test_what_came_to_an_end_counts_more_than_what_cost_less(corridors, monkeypa
     cheap = replace(sound, cost=sound.cost - 1.0, is_complete=False)
     scripted = iter([sound, cheap, sound])
     monkeypatch.setattr(_Growth, "result", lambda _: next(scripted))
-    monkeypatch.setattr(_Growth, "give_up_chance_fits", lambda _: True)
+    monkeypatch.setattr(_Growth, "thinks_again", lambda *_: True)
     assert found(graph) is sound
     assert next(scripted) is sound
 
