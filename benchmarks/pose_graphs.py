@@ -15,14 +15,19 @@ as their noise lets them.
 The error is that of the positions, aligned, from those of the true loops alone. An answer is wrong
 if a false loop was kept, or if it is worse than the odometry. A kernel has no say about loops;
 those within the limit are counted as kept.
+
+With `--runs` every run is written to a file as soon as it is done, and those that are there are not
+done again: a long table can be stopped, gone on with, or printed anew.
 """
 
 import argparse
+import json
 import os
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +56,7 @@ SMALL = ("CSAIL", "smallGrid3D", "kitti_05", "intel")
 KINDS = ("scattered", "aliased", "clusters")
 IN_A_CLUSTER = 10
 INLIER_PROBABILITY = Config().graph.inlier_probability
+OWN = "loopclose"
 _ESTIMATORS = gtsam.noiseModel.mEstimator
 KERNELS = {
     "least squares": None,
@@ -63,10 +69,11 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class Problem:
-    """A benchmark graph: factors, the odometry's poses, and which factors are loops."""
+    """A benchmark graph: factors, the odometry's poses, the best ones, and which are loops."""
 
     graph: gtsam.NonlinearFactorGraph
     chain: gtsam.Values
+    optimum: gtsam.Values
     loops: list[int]
 
 
@@ -100,6 +107,25 @@ class Stress:
         return self.true_kept / self.true_count
 
 
+class Runs:
+    """What runs came to, by graph, kind, share, seed and estimator; in a file if there is one."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self.done: dict[tuple[object, ...], Stress] = {}
+        if path and path.is_file():
+            for line in path.read_text(encoding="utf-8").splitlines():
+                run, stress = json.loads(line)
+                self.done[tuple(run)] = Stress(**stress)
+
+    def add(self, run: tuple[object, ...], stress: Stress) -> None:
+        """Keep a run, at once."""
+        self.done[run] = stress
+        if self._path:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([run, asdict(stress)]) + "\n")
+
+
 def load_problem(path: Path) -> Problem:
     """Read a g2o file: anchored at its first pose, loops last, poses chained from odometry."""
     factors: Any = read_g2o(path)[0]
@@ -119,14 +145,14 @@ def load_problem(path: Path) -> Problem:
             chain.insert(second, pose_at(chain, first).compose(factor.measured()))
     for factor in loops:
         graph.add(factor)
-    return Problem(graph, chain, list(range(graph.size() - len(loops), graph.size())))
+    optimum = optimize(graph, chain)
+    return Problem(graph, chain, optimum, list(range(graph.size() - len(loops), graph.size())))
 
 
 def add_false_loops(problem: Problem, kind: str, share: float, seed: int) -> Problem:
     """Return the graph with random false loops after the true ones; `share` is of all loops."""
     rng = np.random.default_rng(seed)
-    graph = problem.graph.clone()
-    optimum = optimize(graph, problem.chain)
+    graph, optimum = problem.graph.clone(), problem.optimum
     keys = list(optimum.keys())
     positions = np.array([pose_at(optimum, key).translation() for key in keys])
     extent = positions.max(axis=0) - positions.min(axis=0)
@@ -152,7 +178,8 @@ def add_false_loops(problem: Problem, kind: str, share: float, seed: int) -> Pro
                 off = rng.multivariate_normal(np.zeros(len(noise)), noise)
                 claimed = claimed.compose(type(claimed).Expmap(off))
             graph.add(type(model)(first + i, second + i, claimed, model.noiseModel()))
-    return Problem(graph, problem.chain, list(range(problem.loops[0], graph.size())))
+    loops = list(range(problem.loops[0], graph.size()))
+    return Problem(graph, problem.chain, optimum, loops)
 
 
 def stress(problem: Problem, spoilt: Problem) -> Stress:
@@ -197,7 +224,7 @@ def _judged(
     warnings: tuple[str, ...],
     seconds: float,
 ) -> Stress:
-    truth = _positions(optimize(problem.graph, problem.chain))
+    truth = _positions(problem.optimum)
     error_m, without_m = (_error_m(each, truth) for each in (positions, _positions(problem.chain)))
     count = len(problem.loops)
     true_kept, false_kept = int(kept[:count].sum()), int(kept[count:].sum())
@@ -260,6 +287,7 @@ def print_stress(
     cases: Sequence[tuple[str, float]],
     seeds: int,
     kernels: Sequence[str],
+    runs: Runs,
 ) -> None:
     """Print the table of the false-loop test, a line for each graph, kind and share."""
     columns = (
@@ -271,12 +299,27 @@ def print_stress(
     for name in names:
         problem = load_problem(folder / f"{name}.g2o")
         for kind, share in cases:
-            spoilt = [add_false_loops(problem, kind, share, seed) for seed in range(seeds)]
-            cells = _cells([stress(problem, each) for each in spoilt])
-            for kernel in kernels:
-                others = [stress_kernel(problem, each, kernel) for each in spoilt]
-                cells.append(f"{statistics.median(run.error_m for run in others):.3f}")
+            estimate = partial(_stresses, problem, (name, kind, share), seeds, runs)
+            cells = _cells(estimate(OWN))
+            cells += [f"{statistics.median(r.error_m for r in estimate(k)):.3f}" for k in kernels]
             print(f"| {name} | {kind} | {share:.0%} | {' | '.join(cells)} |", flush=True)
+
+
+def _stresses(
+    problem: Problem, case: tuple[str, str, float], seeds: int, runs: Runs, estimator: str
+) -> list[Stress]:
+    """Return what an estimator makes of a graph, kind and share of false loops, by seed."""
+    found = []
+    for seed in range(seeds):
+        run = (*case, seed, estimator)
+        if run not in runs.done:
+            spoilt = add_false_loops(problem, *case[1:], seed)
+            if estimator == OWN:
+                runs.add(run, stress(problem, spoilt))
+            else:
+                runs.add(run, stress_kernel(problem, spoilt, estimator))
+        found.append(runs.done[run])
+    return found
 
 
 def _cells(runs: Sequence[Stress]) -> list[str]:
@@ -313,6 +356,7 @@ def main() -> None:
     parser.add_argument(
         "--kernels", nargs="*", default=list(KERNELS), choices=list(KERNELS), help="to compare with"
     )
+    parser.add_argument("--runs", type=Path, help="file of the runs that are done, to go on with")
     arguments = parser.parse_args()
     if not all(0.0 <= share <= 0.95 for share in arguments.shares):
         parser.error(f"--shares {arguments.shares}: allowed is 0 to 0.95")
@@ -320,7 +364,7 @@ def main() -> None:
         print_optima(arguments.data, arguments.graphs)
         print()
         cases = [(kind, share) for kind in arguments.kinds for share in arguments.shares]
-        chosen = (cases, arguments.seeds, arguments.kernels)
+        chosen = (cases, arguments.seeds, arguments.kernels, Runs(arguments.runs))
         print_stress(arguments.data, arguments.graphs, *chosen)
     except SlamError as error:
         parser.exit(2, f"{error}\n")

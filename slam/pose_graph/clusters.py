@@ -18,7 +18,11 @@ _MOST_APART = 20  # keyframes, at either end: over longer detours anything may a
 
 
 def clusters(
-    system: MotionSystem, T: FloatArray, chosen: NDArray[np.bool_], wide: float
+    system: MotionSystem,
+    T: FloatArray,
+    chosen: NDArray[np.bool_],
+    wide: float,
+    most_apart: int = _MOST_APART,
 ) -> IntArray:
     """Return (C,) the number of the cluster of each of C chosen loops of L, by (K, 4, 4) poses.
 
@@ -29,7 +33,7 @@ def clusters(
     ends = system.loop_ends[loops]
     pairs = _near(ends)
     apart = np.abs(ends[pairs[:, 0]] - ends[pairs[:, 1]]).max(axis=1, initial=0)
-    pairs = pairs[apart <= _MOST_APART]
+    pairs = pairs[apart <= most_apart]
     draws = system.with_only(np.zeros(len(chosen), np.bool_)).draws(T)
     agree = pairs[system.cycles(T, draws, loops[pairs]) < wide]
     shape = (len(loops), len(loops))

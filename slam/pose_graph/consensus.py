@@ -22,7 +22,8 @@ from slam.types import FloatArray
 _SURE, _LEAST, _AS_SURE = (9.0, 7.0), 5.0, 0.5
 # Of so many times as many loops one fits by chance.
 _BEYOND_CHANCE = 3.0
-_MOST_SECOND_THOUGHTS = 2
+# Reaches of loops that differ by no more octaves are alike.
+_ALIKE, _LEAST_REACH_M = 0.5, 1e-3
 _MOST_ROUNDS, _MOST_POSES = 150, 150_000  # of all rounds
 _MOST_TRIALS = 3  # of a loop that others drove out again
 _MOST_STEPS, _AT_REST = 10, 1e-3
@@ -40,7 +41,7 @@ class Consensus:
         kept: (L,) bool, the loops that agree with it.
         squared: (L,) float64, their squared errors in units of their covariance.
         undecided: (L,) bool, loops that may be true as far as is known, and as well may not.
-        cost: the squared errors of all motions, of loops up to the limit.
+        cost: the squared errors of all motions, of loops up to the wide limit.
         chance_fits: as many of the loops that were left out would fit by chance.
         is_complete: whether it came to an end, and to rest; in a large map of a poor odometry it
             may not.
@@ -66,11 +67,11 @@ def consensus(
     """
     growth = _Growth(system, limit, wide, by_gnc & system.bridges)
     results = [growth.result()]
-    for _ in range(_MOST_SECOND_THOUGHTS):
-        if not results[-1].is_complete or not growth.give_up_chance_fits():
+    for begins_anew in (False, True):
+        if not results[-1].is_complete or not growth.thinks_again(begins_anew):
             break
         results.append(growth.result())
-    return min(results, key=lambda result: (not result.is_complete, result.cost))
+    return min(results, key=lambda result: (not result.is_complete, growth.cost(result)))
 
 
 class _Growth:
@@ -80,11 +81,12 @@ class _Growth:
         self, system: MotionSystem, limit: float, wide: float, given: NDArray[np.bool_]
     ) -> None:
         self._system, self._limit, self._wide = system, limit, wide
-        self._kept = given
+        self._given = self._kept = given
         self._T, self._is_at_rest = _settled(system, system.T_links, self._kept)
         # How sure a loop was when it was taken in, and how far from what was foretold.
         self._evidence = np.where(given, np.inf, 0.0)
         self._foretold = np.zeros(system.loop_count)
+        self._by_reach = np.zeros(system.loop_count)
 
     def result(self) -> Consensus:
         """Return what the map comes to once nothing more is sure enough."""
@@ -97,7 +99,7 @@ class _Growth:
             errors, covariance = system.predicted(self._T, draws)
             squared = _squared(errors, covariance)
             is_open = ~self._kept & (squared < scale * self._wide)
-            evidence = _evidence(errors, scale * covariance, spread)
+            evidence = _evidence(errors, scale * covariance, spread) + self._by_reach
             new = _next(np.where(is_open & (trials < _MOST_TRIALS), evidence, -np.inf))
             is_complete = not new.any()
             if is_complete:
@@ -109,17 +111,31 @@ class _Growth:
             scale = self._scale()
         T, kept, squared, is_at_rest = self._polished()
         is_complete &= self._is_at_rest and is_at_rest
-        cost = system.links_cost(T) + float(np.minimum(squared, self._limit).sum())
+        cost = system.links_cost(T) + float(np.minimum(squared, self._wide).sum())
         fits = self._chance_of_fitting(scale * covariance[~kept], spread)
         return Consensus(T, kept, squared, is_open & ~kept, cost, float(fits.sum()), is_complete)
 
-    def give_up_chance_fits(self) -> bool:
-        """Give up what may have fitted by chance, among so many that did not; say if any did."""
+    def cost(self, result: Consensus) -> float:
+        """Return the cost of a result, and of what it leaves out although its reach is usual."""
+        return result.cost + 2.0 * float(self._by_reach[~result.kept].sum())
+
+    def thinks_again(self, begins_anew: bool) -> bool:
+        """Give up what may have fitted by chance, among so many that did not; say if any did.
+
+        By then the reaches of loops tell more. Of a cluster that came in early every loop makes the
+        others sure: only a map that begins anew can show that it was false.
+        """
+        by_reach = _evidence_by_reach(self._system.reaches_m, self._kept)
+        self._evidence += by_reach - self._by_reach
+        self._by_reach = by_reach
         left_out = np.count_nonzero(~self._kept)
         weak = self._kept & (self._evidence < np.log1p(left_out) + _BEYOND_CHANCE)
-        if weak.any():
-            self._move_to(self._kept & ~weak)
-        return bool(weak.any())
+        if not weak.any():
+            return False
+        if begins_anew:
+            self._T = self._system.T_links
+        self._move_to(self._given if begins_anew else self._kept & ~weak)
+        return True
 
     def _chance_of_fitting(self, covariance: FloatArray, spread: FloatArray) -> FloatArray:
         """Return (N,) how likely loops fit where they are foretold, if they are false.
@@ -187,6 +203,21 @@ def _log_density(errors: FloatArray, covariance: FloatArray) -> FloatArray:
 def _squared(errors: FloatArray, covariance: FloatArray) -> FloatArray:
     weighted = np.linalg.solve(covariance, errors[..., None])[..., 0]
     return np.asarray((errors * weighted).sum(axis=-1))
+
+
+def _evidence_by_reach(reaches_m: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+    """Return (L,) how much likelier loops of such a reach are true than false, as a logarithm.
+
+    What is seen together lies about as far apart as other such views; what fits by chance need not.
+    A loop has no say about itself.
+    """
+    octaves = np.log2(np.maximum(reaches_m, _LEAST_REACH_M))
+    shares = []
+    for side in (kept, ~kept):
+        known = np.sort(octaves[side])
+        first, last = (np.searchsorted(known, octaves + off) for off in (-_ALIKE, _ALIKE))
+        shares.append((1.0 + last - first - side) / (1.0 + len(known) - side))
+    return np.asarray(np.log(shares[0] / shares[1]))
 
 
 def _spread(T_world_kf: FloatArray, is_planar: bool) -> FloatArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.live import graduated, squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
-from slam.pose_graph.second_opinion import contested, second_opinion
+from slam.pose_graph.second_opinion import contested, doubts_of_bridges, second_opinion
 from slam.types import FloatArray
 
 _MOST_STEPS = 20
@@ -26,7 +26,9 @@ def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     T, squared = graduated(system, limit)
     T, kept, squared = _at_rest(system, T, squared < limit, limit)
     doubts: tuple[str, ...] = ()
-    if graph.loops and not (system.is_solved and _is_undisputed(system, T, kept, squared, limit)):
+    if graph.loops and system.is_solved and _is_undisputed(system, T, kept, squared, limit):
+        doubts = doubts_of_bridges(graph, system, inlier_probability, kept, squared)
+    elif graph.loops:
         cost = system.links_cost(T) + float(np.minimum(squared, limit).sum())
         opinion = second_opinion(graph, system, inlier_probability, kept, squared, cost)
         doubts = opinion.doubts

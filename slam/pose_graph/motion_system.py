@@ -59,16 +59,25 @@ class MotionSystem:
         return np.stack([self._ref, self._query], axis=1)[self.first_loop :]
 
     @property
-    def bridges(self) -> NDArray[np.bool_]:
-        """Return (L,) which loops tie poses that only links of next to no information join."""
+    def reaches_m(self) -> FloatArray:
+        """Return (L,) how far apart loops say that their poses are."""
+        return np.asarray(np.linalg.norm(self._T_query_ref[self.first_loop :, :3, 3], axis=1))
+
+    @property
+    def pieces(self) -> IntArray:
+        """Return (K,) the number of the piece of every pose: links that know something join one."""
         most = np.linalg.eigvalsh(self._information[: self.first_loop])[:, -1]
         is_firm = most > min(_NEXT_TO_NOTHING, _NEXT_TO_NONE * float(np.median(most)))
         firm = (self._ref[: self.first_loop][is_firm], self._query[: self.first_loop][is_firm])
         shape = (len(self.T_links), len(self.T_links))
         joined = scipy.sparse.coo_array((np.ones(len(firm[0])), firm), shape=shape)
-        piece = connected_components(joined, directed=False)[1]
-        ref, query = self.loop_ends.T
-        return np.asarray(piece[ref] != piece[query])
+        return np.asarray(connected_components(joined, directed=False)[1], np.int64)
+
+    @property
+    def bridges(self) -> NDArray[np.bool_]:
+        """Return (L,) which loops tie poses that only links of next to no information join."""
+        ref, query = self.pieces[self.loop_ends].T
+        return np.asarray(ref != query)
 
     def with_only(self, chosen: NDArray[np.bool_]) -> "MotionSystem":
         """Return the system of the same poses with the (L,) chosen loops alone.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.pose_graph.bridges import bridge_doubts, rivals, with_rival
 from slam.pose_graph.clusters import clusters
 from slam.pose_graph.consensus import Consensus, consensus
 from slam.pose_graph.graph import PoseGraph
@@ -18,6 +19,7 @@ from slam.types import FloatArray
 _CLEARLY_OUT = 4.0
 _FORETOLD = 0.999  # so large a share of the true loops is where it was foretold
 _NAMED = 3  # clusters
+_MOST_RIVALS = 3  # from each of which a map is grown
 _FEW_BY_CHANCE = 0.05
 _ADVICE = "look at them in the loop ledger before trusting the result"
 
@@ -53,18 +55,37 @@ def second_opinion(
     """
     limit = squared_error_limit(inlier_probability, graph.is_planar)
     wide = squared_error_limit(max(_FORETOLD, inlier_probability), graph.is_planar)
-    found = consensus(system, limit, wide, kept)
+    found = _best_consensus(system, limit, wide, kept, squared)
     is_contested = contested(kept, squared / limit, found.squared / limit)
     others = (*_doubt_of_chance(found), *_doubt_of_haste(found))
     # Where it did not come to an end, it knows too little to overrule GNC.
     if not is_contested.any() or not found.is_complete:
+        cost += float((np.minimum(squared, wide) - np.minimum(squared, limit)).sum())
         is_better = found.cost < cost and (found.kept != kept).any()
         kept, T = (found.kept, found.T_world_kf) if is_better else (kept, None)
-        return Opinion(kept, T, (*doubts(kept, is_contested), *others))
+        squared = found.squared if is_better else squared
+        bridges = doubts_of_bridges(graph, system, inlier_probability, kept, squared)
+        return Opinion(kept, T, (*doubts(kept, is_contested), *bridges, *others))
     part = clusters(system, system.T_links, is_contested, wide)
     named = _named(graph, part, np.flatnonzero(is_contested), found)
     said = doubts(found.kept, is_contested, named)
-    return Opinion(found.kept, found.T_world_kf, (*said, *others))
+    bridges = doubts_of_bridges(graph, system, inlier_probability, found.kept, found.squared)
+    return Opinion(found.kept, found.T_world_kf, (*said, *bridges, *others))
+
+
+def _best_consensus(
+    system: MotionSystem,
+    limit: float,
+    wide: float,
+    kept: NDArray[np.bool_],
+    squared: FloatArray,
+) -> Consensus:
+    """Return what grows from the bridges that GNC kept, or from a rival where that costs less."""
+    given = [kept & system.bridges]
+    for rival in rivals(system, squared > _CLEARLY_OUT * limit, wide)[:_MOST_RIVALS]:
+        given.append(with_rival(system, given[0], rival))
+    found = [consensus(system, limit, wide, each) for each in given]
+    return min(found, key=lambda each: (not each.is_complete, each.cost))
 
 
 def contested(kept: NDArray[np.bool_], first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
@@ -93,6 +114,20 @@ def doubts(kept: NDArray[np.bool_], doubted: NDArray[np.bool_], named: str = "")
             f"{_ADVICE}"
         )
     return tuple(found)
+
+
+def doubts_of_bridges(
+    graph: PoseGraph,
+    system: MotionSystem,
+    inlier_probability: float,
+    kept: NDArray[np.bool_],
+    squared: FloatArray,
+) -> tuple[str, ...]:
+    """Return what there is to doubt in the kept of L bridges, by the (L,) squared errors."""
+    limit = squared_error_limit(inlier_probability, graph.is_planar)
+    wide = squared_error_limit(max(_FORETOLD, inlier_probability), graph.is_planar)
+    found = bridge_doubts(graph, system, kept, squared > _CLEARLY_OUT * limit, wide)
+    return tuple(f"{each}; {_ADVICE}" for each in found)
 
 
 def _doubt_of_chance(found: Consensus) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slam.geometry import se3
-from slam.pose_graph.consensus import Consensus, _Growth, consensus
+from slam.pose_graph.consensus import Consensus, _evidence_by_reach, _Growth, consensus
 from slam.pose_graph.graph import PoseGraph
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
@@ -116,9 +116,42 @@ def test_what_came_to_an_end_counts_more_than_what_cost_less(corridors, monkeypa
     cheap = replace(sound, cost=sound.cost - 1.0, is_complete=False)
     scripted = iter([sound, cheap, sound])
     monkeypatch.setattr(_Growth, "result", lambda _: next(scripted))
-    monkeypatch.setattr(_Growth, "give_up_chance_fits", lambda _: True)
+    monkeypatch.setattr(_Growth, "thinks_again", lambda *_: True)
     assert found(graph) is sound
     assert next(scripted) is sound
+
+
+def test_reaches_like_those_of_kept_loops_speak_for_a_loop():
+    reaches_m = np.array([1.0, 1.1, 0.9, 1.0, 5.0, 1.05, 4.0, 4.5, 5.0, 5.5])
+    kept = np.arange(10) < 5
+    evidence = _evidence_by_reach(reaches_m, kept)
+    assert (evidence[:4] > 0.5).all() and evidence[5] > 0.5
+    assert (evidence[6:] < -0.5).all() and evidence[4] < -0.5  # it has no say about itself
+    assert (_evidence_by_reach(np.zeros(4), np.arange(4) < 2) == 0.0).all()
+
+
+def test_the_weak_are_given_up_first_then_all_that_grew(corridors):
+    world = corridors()
+    system = MotionSystem(world.graph(world.true(0) + world.alike(5, 75)))
+    growth = _Growth(system, LIMIT, WIDE, np.zeros(20, np.bool_))
+    growth._move_to(np.arange(20) >= 10)
+    growth._evidence = np.where(np.arange(20) < 12, 4.0, 40.0)
+    assert growth.thinks_again(begins_anew=False)
+    assert growth._kept.tolist() == [False] * 12 + [True] * 8
+    assert not growth.thinks_again(begins_anew=True)  # none is weak
+    growth._evidence[12] = 4.0
+    assert growth.thinks_again(begins_anew=True)
+    assert not growth._kept.any()
+    np.testing.assert_allclose(growth._T, system.T_links, atol=1e-6)
+
+
+def test_what_is_left_out_costs_more_where_its_reach_speaks_for_it(corridors):
+    world = corridors()
+    graph = world.graph(world.true(0))
+    result = replace(found(graph), kept=np.arange(10) > 0)
+    growth = _Growth(MotionSystem(graph), LIMIT, WIDE, np.zeros(10, np.bool_))
+    growth._by_reach = np.where(np.arange(10) < 1, 3.0, 50.0)
+    assert growth.cost(result) == pytest.approx(result.cost + 6.0)
 
 
 def test_poses_that_did_not_come_to_rest_are_no_end(corridors, monkeypatch):

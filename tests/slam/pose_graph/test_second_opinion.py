@@ -4,10 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam.geometry import se3
 from slam.pose_graph import solve
 from slam.pose_graph.second_opinion import contested, doubts, second_opinion
+from slam.types import Link, RelativePose
 
 PROBABILITY = 0.95
+SIGMAS = np.array([0.003, 0.003, 0.003, 0.01, 0.01, 0.01])  # of the loops of corridors
 
 
 def kept(solution):
@@ -46,6 +49,15 @@ def test_where_both_agree_nothing_is_said(corridors):
     solution = solve(world.graph(world.true(0) + world.true(45)), PROBABILITY)
     assert len(kept(solution)) >= 18
     assert solution.warnings == ()
+
+
+def test_a_true_loop_in_the_tail_of_its_noise_is_kept(corridors):
+    """It is three and a half sigmas off: GNC leaves out what costs more than a twentieth does."""
+    world = corridors()
+    motion = world.motion(5, 45) @ se3.exp(np.array([0.0, 0.0, 0.0, 0.035, 0.0, 0.0]))
+    tail = Link(5, 45, RelativePose(motion, np.diag(1.0 / SIGMAS**2)))
+    solution = solve(world.graph([*world.true(0), *world.true(45), tail]), PROBABILITY)
+    assert kept(solution) == list(range(21)) and solution.warnings == ()
 
 
 @pytest.mark.parametrize(
