@@ -227,8 +227,8 @@ def _finish(arguments: Arguments) -> None:
     from slam.evaluation.trajectory import read_tum
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.finishing import poses_again, replayed
     from slam.output.journal import read_journal
+    from slam.output.replay.finishing import poses_again, replayed
 
     with ClaimedFolder(Path(arguments.sequence)) as claimed:
         if claimed.is_complete:

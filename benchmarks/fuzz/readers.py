@@ -37,7 +37,7 @@ from slam.datasets.pose_files import read_odometry, read_trajectory
 from slam.output.comparison.runs import read_runs
 from slam.output.journal import Header, Journal
 from slam.output.ledger import read_ledger
-from slam.output.measurements import (
+from slam.output.replay.measurements import (
     MEASUREMENTS,
     Measurements,
     read_measurements,

@@ -17,7 +17,7 @@ from slam.types import SlamError
 
 if TYPE_CHECKING:
     from slam.output.claimed_folder import ClaimedFolder
-    from slam.output.measurements import Measurements
+    from slam.output.replay.measurements import Measurements
 
 PROG = "run_slam replay"
 _WITH_FEATURES = ("loop", "verification", "graph", "motion", "evaluation")
@@ -62,7 +62,7 @@ def main(typed: list[str]) -> int:
     """
     arguments = parse(typed)
     from slam.geometry.features import search_images_on_one_thread
-    from slam.output.measurements import MEASUREMENTS, read_measurements
+    from slam.output.replay.measurements import MEASUREMENTS, read_measurements
 
     search_images_on_one_thread()
     run = arguments.run
@@ -119,7 +119,7 @@ def _decide(arguments: Arguments, measured: "Measurements") -> None:
 
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.finishing import poses_again, replayed
+    from slam.output.replay.finishing import poses_again, replayed
     from slam.output.run_folder import begin_outputs
 
     run, journal, settings = arguments.run, measured.journal, arguments.settings

@@ -11,7 +11,7 @@ from slam.evaluation.drift import DriftReport, compare_drift
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
 from slam.output.journal import Header, read_journal
-from slam.output.measurements import Measurements
+from slam.output.replay.measurements import Measurements
 from slam.output.run_folder import write_outputs
 from slam.output.summary import summary_table
 from slam.result import SlamResult
