@@ -39,8 +39,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
-  run_slam replay runs/a           decide again; run_slam stress: make it worse
+  run_slam compare, replay, stress     runs side by side, again, or made worse
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -77,6 +76,8 @@ class Arguments:
     """Installed name, module:Class, or file. A file is FILE.safetensors or FILE.onnx."""
     map: Annotated[Literal["points", "mesh", "none"] | None, tyro.conf.arg(metavar="KIND")] = None
     """Map to write, points, mesh (points, too) or none; default: as the settings say, points."""
+    save: Annotated[Path | None, tyro.conf.arg(metavar="MAP")] = None
+    """Folder to save the map in, for later runs."""
     finish: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """SEQUENCE is the folder of a killed run: finish it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
@@ -173,6 +174,7 @@ def _run(arguments: Arguments) -> None:
     from slam.output.ending import Run, conclude, reason_of
     from slam.output.journal import Header, JournalWriter
     from slam.output.live.view import LiveView, check_live
+    from slam.output.map_folder.folder import check_place
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam
 
@@ -184,6 +186,8 @@ def _run(arguments: Arguments) -> None:
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
+        if arguments.save is not None:
+            check_place(arguments.save, recognizer)
         sessions = Sessions(
             [opened(each, arguments.settings.input, folder) for each in arguments.sequences]
         )
@@ -203,7 +207,10 @@ def _run(arguments: Arguments) -> None:
             slam.certificate,
         )
         truth = sessions.ground_truth
-        run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
+        run = Run(
+            *(claimed, header, settings, truth, poses, lambda: sessions.warnings),
+            save=arguments.save,
+        )
         begin_outputs(claimed, settings, header.command, run.truth)
         journal = JournalWriter(claimed.unfinished, header, slam)
         feed = PoseFeed(slam, poses.trajectory if poses else None)

@@ -22,7 +22,7 @@ from slam.loops.atlas import odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
-from slam.loops.remembered import Remembered
+from slam.loops.remembered import Remembered, SavedMap
 from slam.loops.stage_clock import StageClock
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
@@ -74,6 +74,7 @@ class Slam:
         self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
         self._session_starts_s: list[float] = []
+        self._final: LandmarkMap | None = None  # as adjusted in the end
         # Where another odometry's frame is in that of tracking, by the last frame that had a pose;
         # and the map, which lies where it had the first one.
         self._T_odom_given: FloatArray | None = None
@@ -385,6 +386,22 @@ class Slam:
         """What deciding about loops again takes, once the run is finished; None of too many."""
         return self._back_end.loop_closer.remembered(self._map)
 
+    def saved(self, result: SlamResult) -> SavedMap:
+        """Return the map of a finished run for later ones: the keyframes that have a place.
+
+        Raises:
+            RecognizerError: the recognizer has neither a fingerprint nor a source file.
+        """
+        stamps_s = [each.timestamp_s for each in result.keyframes]
+        return self._back_end.saved(
+            result.T_world_kf,
+            result.attempts,
+            result.links,
+            np.searchsorted(self._session_starts_s, stamps_s, side="right"),
+            self._frames.per_keyframe(),
+            self._final or self._map,
+        )
+
     def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
         """Return the (K, 4, 4) poses by the adjusted map, with loops and without, and warnings.
 
@@ -393,7 +410,8 @@ class Slam:
         if warnings := size_warning(len(loops.T_world_kf)):
             return loops.T_world_kf, loops.T_world_kf_without, warnings
         with self.clock.stage("adjust"):
-            return *adjusted(self._map, loops), ()
+            *T_kf, self._final = adjusted(self._map, loops)
+            return T_kf[0], T_kf[1], ()
 
     def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
         closer = self._back_end.loop_closer

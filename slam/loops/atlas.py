@@ -88,6 +88,10 @@ class Atlas:
                 self._loops[key] = loop
                 self.loops[keyframe.segment] += 1
 
+    def loop(self, key: int) -> Loop:
+        """Return a loop by its key."""
+        return self._loops[key]
+
     def give(self, given: Mapping[int, GivenKeyframe]) -> None:
         """Take where an odometry from elsewhere has keyframes, by id."""
         self._given.update(given)

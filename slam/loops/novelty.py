@@ -32,6 +32,11 @@ class Novelty:
         self._kept: set[int] = set()
         self._count = 0
 
+    @property
+    def kept(self) -> IntArray:
+        """The keyframes so far that showed something new, in order."""
+        return np.array(sorted(self._kept), np.int64)
+
     def is_new(self, keyframe: Keyframe, attempts: Sequence[LoopAttempt]) -> bool:
         """Take the next keyframe with its loop candidates, and return whether to keep it."""
         self._count += 1
@@ -41,7 +46,7 @@ class Novelty:
 
     def chosen(self) -> IntArray | None:
         """Return the keyframes to go on with, at the moment when there are too many, else None."""
-        return np.array(sorted(self._kept)) if self._count == _ALL_KEPT else None
+        return self.kept if self._count == _ALL_KEPT else None
 
     def _shows_something_new(self, keyframe: Keyframe, attempts: Sequence[LoopAttempt]) -> bool:
         seen = np.zeros(0, np.int64)
