@@ -42,16 +42,21 @@ LOAD = """
 import sys, time
 from pathlib import Path
 from placerec import load
-from slam import load_map
+from slam import Slam, load_map
 recognizer = load(sys.argv[2])
 def most_mb():
     lines = Path("/proc/self/status").read_text().splitlines()  # of Linux
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 before_mb, start_s = most_mb(), time.perf_counter()
+of_core_s = time.process_time()
 loaded = load_map(Path(sys.argv[1]), recognizer)
-took_s = time.perf_counter() - start_s
-print(f"{len(loaded.keyframes)} keyframes in {took_s:.2f} s; {before_mb:.0f} MB before,"
-      f" {most_mb():.0f} MB at most")
+took_s, loaded_mb = time.perf_counter() - start_s, most_mb()
+slam = Slam(loaded.camera, recognizer, earlier=loaded, is_fixed=True)
+ready_s = time.perf_counter() - start_s
+of_core_s = time.process_time() - of_core_s
+print(f"{len(loaded.keyframes)} keyframes in {took_s:.2f} s, {ready_s:.2f} s until a frame can be,"
+      f" {of_core_s:.2f} s of one core;"
+      f" {before_mb:.0f} MB before, {loaded_mb:.0f} MB loaded, {most_mb():.0f} MB at most")
 """
 SAVE = """
 import sys

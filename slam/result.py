@@ -201,7 +201,7 @@ class SlamResult:
 
     Attributes:
         camera: the camera it was run with.
-        keyframes: the K keyframes in order of time.
+        keyframes: the K keyframes in order of time, after those of an earlier map.
         T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
             Not smoothed, whatever the trajectories are.
         odometry: every placed frame, as it was tracked (drifting); one motion joins two segments.
@@ -232,6 +232,7 @@ class SlamResult:
         missing: which parts of the result could not be computed, and why; one sentence each. What
             stands for them says nothing: NaN similarities, poses that were not adjusted.
         meshes: the map as surfaces, None where they were not asked for or could not be made.
+        earlier: how many of the keyframes are of an earlier map, whose frames are not in this.
     """
 
     camera: Camera
@@ -257,6 +258,7 @@ class SlamResult:
     missing: tuple[str, ...] = ()
     threshold: ThresholdFit | None = None
     meshes: MapMeshes | None = None
+    earlier: int = 0
 
     @property
     def corrected(self) -> Trajectory:

@@ -103,6 +103,16 @@ class BackEnd:
         self._evidence = Evidence()
         self.corrections = [Correction(0, -1, {}, {})]
 
+    def load(self, saved: SavedMap) -> None:
+        """Begin with an earlier map, as if its keyframes had been taken in, where it has them."""
+        self.loop_closer.load(saved)
+        self._atlas.load(saved)
+        self.keyframes = list(saved.keyframes)
+        self.attempts = list(saved.attempts)
+        T_world_kf = {each.id: each.T_odom_cam for each in saved.keyframes}
+        T_world_odom = {each.segment: np.eye(4) for each in saved.keyframes[:1]}
+        self.corrections = [Correction(0, len(saved.keyframes) - 1, T_world_kf, T_world_odom)]
+
     @property
     def is_empty(self) -> bool:
         """Whether no keyframe was taken in and none is being worked on."""

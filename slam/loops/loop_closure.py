@@ -17,7 +17,7 @@ from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
 from slam.loops.known_distances import KnownDistances
 from slam.loops.novelty import Novelty
-from slam.loops.remembered import Remembered
+from slam.loops.remembered import Remembered, SavedMap
 from slam.loops.second_look import SecondLook
 from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
@@ -79,6 +79,24 @@ class LoopCloser:
         is_blind = self._recognizer.looks_back > 0
         self._adaptive = None if is_blind else AdaptiveThreshold(self.min_similarity)
         self._known = KnownDistances()
+
+    def load(self, saved: SavedMap) -> None:
+        """Begin with the keyframes of an earlier map; nothing else was added yet."""
+        count = len(saved.keyframes)
+        self._keyframes = list(saved.keyframes)
+        self._segments = array("q", [each.segment for each in saved.keyframes])
+        linked: list[list[int]] = [[] for _ in saved.keyframes]
+        for link in saved.links:
+            linked[max(link.ref_id, link.query_id)].append(min(link.ref_id, link.query_id))
+        self._linked_ids = [*linked]
+        self._embeddings = list(saved.embeddings)
+        places = np.arange(count) if self._novelty is None else self._novelty.load(saved.is_new)
+        self._places = array("q", places.tolist())
+        for k in self._places:
+            self._index.add(saved.embeddings[k])
+        if self._novelty is not None:
+            self._shown = {k: saved.embeddings[k] for k in compared(count)}
+        self._known.skip(count)
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) RGB image.

@@ -37,6 +37,12 @@ class Novelty:
         """The keyframes so far that showed something new, in order."""
         return np.array(sorted(self._kept), np.int64)
 
+    def load(self, is_new: NDArray[np.bool_]) -> IntArray:
+        """Take (K,) keyframes of an earlier map, and return those that are candidates of later."""
+        self._kept = set(np.flatnonzero(is_new).tolist())
+        self._count = len(is_new)
+        return self.kept if self._count >= _ALL_KEPT else np.arange(self._count)
+
     def is_new(self, keyframe: Keyframe, attempts: Sequence[LoopAttempt]) -> bool:
         """Take the next keyframe with its loop candidates, and return whether to keep it."""
         self._count += 1

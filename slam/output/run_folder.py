@@ -147,7 +147,7 @@ def settings_file(command: str, config: Config) -> str:
 
 def _keyframes(result: SlamResult) -> Trajectory:
     # From the trajectory: the two files say the same of a keyframe, also where it is smoothed.
-    keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
+    keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes[result.earlier :]])
     chosen = np.isin(result.trajectory.timestamps_s, keyframe_s)
     return Trajectory(result.trajectory.timestamps_s[chosen], result.trajectory.T_world_cam[chosen])
 

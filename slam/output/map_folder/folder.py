@@ -55,11 +55,11 @@ def saved_map(slam: Slam, result: SlamResult) -> SavedMap:
     Raises:
         RecognizerError: the recognizer has neither a fingerprint nor a source file.
     """
-    saved = slam.saved(result)
+    saved, earlier = slam.saved(result), slam.earlier
     placed = np.flatnonzero(np.isfinite(result.T_world_kf[:, 0, 0]))
     number = dict(zip(placed.tolist(), range(len(placed)), strict=True))
     lines = []
-    for each in decisions(result, None):
+    for each in decisions(result, None)[len(earlier.attempts) if earlier else 0 :]:
         query_id, match_id = each.attempt.query_id, each.attempt.match_id
         if query_id in number and match_id in number:
             attempt = replace(
@@ -69,7 +69,7 @@ def saved_map(slam: Slam, result: SlamResult) -> SavedMap:
                 influence=None,  # on the keyframes of that run
             )
             lines.append(ledger_line(replace(each, attempt=attempt), result.min_similarity))
-    return replace(saved, ledger=(*saved.ledger, *lines))
+    return replace(saved, ledger=(*(earlier.ledger if earlier else ()), *lines))
 
 
 def check_place(folder: Path, recognizer: PlaceRecognizer) -> None:
