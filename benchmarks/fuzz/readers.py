@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.fuzz.containers import archive_of, bag_of, caffemodel_of, exr_of
-from benchmarks.saved_maps import made_up
+from benchmarks.large_maps.saved_maps import made_up
 from placerec.certificate import fingerprint, read_certificate
 from placerec.datasets import open_dataset
 from placerec.datasets.images import BrokenImage, find_fault, read_image

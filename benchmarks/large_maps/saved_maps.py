@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long loading a large map takes, and what kills leave of one that is being saved.
 
-    python -m benchmarks.saved_maps [--keyframes 10000] [--kills 20] [--seed 0]
+    python -m benchmarks.large_maps.saved_maps [--keyframes 10000] [--kills 20] [--seed 0]
 
 A map of made-up keyframes, each with 1,000 features and 150 landmarks of its own, is saved, and
 loaded three times, in processes of their own. Then a process that saves one of two small maps over
