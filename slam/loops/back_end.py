@@ -3,7 +3,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
@@ -150,6 +150,11 @@ class BackEnd:
         while self._queue:
             attempts = self._next_result()
         return attempts
+
+    def add_loops(self, attempts: Sequence[LoopAttempt]) -> None:
+        """Take loop candidates that were looked at once all keyframes were taken in."""
+        self._atlas.add_loops(dict(enumerate(attempts, len(self.attempts))))
+        self.attempts.extend(attempts)
 
     def catch_up(self) -> None:
         """Wait for the corrections by all loops that were closed so far.
