@@ -37,7 +37,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   see also run_slam replay, run_slam stress
+  run_slam compare runs/a runs/b   see also run_slam replay, more-loops, stress
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -153,7 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
     sys.path.append(str(Path.cwd()))
     typed = sys.argv[1:] if arguments is None else arguments
     if typed[:1] and typed[0] in COMMANDS:  # a folder of that name is ./compare
-        command = import_module(f"slam.commands.{typed[0]}")
+        command = import_module(f"slam.commands.{typed[0].replace('-', '_')}")
         prog = f"run_slam {typed[0]}"
         return answer(prog, typed[1:], command.main, interrupted="interrupted before it was done")
     return answer("run_slam", typed, _work, interrupted="interrupted before anything was tracked")

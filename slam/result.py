@@ -196,6 +196,23 @@ class MapMeshes:
 
 
 @dataclass(frozen=True)
+class MoreLoops:
+    """What there was before loops were looked for again, in a map that was solved by then.
+
+    Attributes:
+        before: the corrected trajectory, not smoothed.
+        in_use: how many loops were in use.
+        dropped: how many of those are not in use any more.
+        rounds: how often they were looked for.
+    """
+
+    before: Trajectory
+    in_use: int
+    dropped: int
+    rounds: int
+
+
+@dataclass(frozen=True)
 class SlamResult:
     """Everything a run found out.
 
@@ -232,6 +249,7 @@ class SlamResult:
         missing: which parts of the result could not be computed, and why; one sentence each. What
             stands for them says nothing: NaN similarities, poses that were not adjusted.
         meshes: the map as surfaces, None where they were not asked for or could not be made.
+        more_loops: what there was before loops were looked for again, None where they were not.
         earlier: how many of the keyframes are of an earlier map, whose frames are not in this.
     """
 
@@ -258,6 +276,7 @@ class SlamResult:
     missing: tuple[str, ...] = ()
     threshold: ThresholdFit | None = None
     meshes: MapMeshes | None = None
+    more_loops: MoreLoops | None = None
     earlier: int = 0
 
     @property

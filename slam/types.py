@@ -237,6 +237,17 @@ class Influence:
         return int(self.keyframe_ids[farthest]), float(moved_m[farthest])
 
 
+class Proposal(StrEnum):
+    """Why two keyframes were looked at as a loop."""
+
+    SIMILARITY = "similarity"
+    """They are among the most alike, as the run itself saw it."""
+    NEXT_SIMILAR = "next_similar"
+    """Of what the run left out they are the most alike."""
+    OVERLAP = "overlap"
+    """By the solved map their views overlap."""
+
+
 MIN_TRUSTED_WEIGHT = 0.5
 """A motion that the pose graph gives no more weight than this is outvoted; most end at 0 or 1."""
 
@@ -256,6 +267,7 @@ class LoopAttempt:
             is not on record.
         checks: what each stage measured of it, from the similarity to the pose graph.
         influence: what it did to the map; None of a loop not in use, or in a large map.
+        proposed_by: what made it a candidate.
     """
 
     query_id: int
@@ -267,6 +279,7 @@ class LoopAttempt:
     min_similarity: float | None = None
     checks: tuple[Check, ...] = ()
     influence: Influence | None = None
+    proposed_by: Proposal = Proposal.SIMILARITY
 
     @property
     def rejection(self) -> Rejection | None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`run_slam replay`: decide about the loops of a run again, without its images."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,16 +16,18 @@ from slam.config import Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
+    from slam.datasets.pose_files import PoseFile
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.replay.measurements import Measurements
+    from slam.system import Slam
 
-PROG = "run_slam replay"
 _WITH_FEATURES = ("loop", "verification", "graph", "motion", "evaluation")
 _WITHOUT = ("graph", "motion", "evaluation")
 _AGAIN = (
     "decided again from what {} measured: the camera is where it was tracked, and there are no"
     " pictures and no point cloud"
 )
+_WHY = "had too many keyframes, was killed, or its recognizer compares by itself"
 _NOT_WHOLE = "the run stopped early: what its recordings show later is not in this"
 _DESCRIPTION = """Decide about the loops of a run again, with other settings, without its images.
 
@@ -41,17 +43,34 @@ run the recording again."""
 
 @dataclass(frozen=True)
 class Arguments:
-    """What run_slam replay was asked to do."""
+    """What to decide again, and how."""
 
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a run."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for the outputs, RUN-replay unless told."""
+    """Folder for the outputs, RUN-COMMAND unless told."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """TOML file with settings instead of the run's; flags win over it."""
     settings: Annotated[Config, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = field(
         default_factory=Config
     )
+
+
+@dataclass(frozen=True)
+class Again:
+    """A command that decides about a run again.
+
+    Attributes:
+        name: of the command, and of the folder for its outputs.
+        description: for --help.
+        slam: makes the run once more, all frames taken, ready to be finished.
+        needs_features: whether nothing can be done without those of the keyframes.
+    """
+
+    name: str
+    description: str
+    slam: "Callable[[Measurements, Config, PoseFile | None], Slam]"
+    needs_features: bool = False
 
 
 def main(typed: list[str]) -> int:
@@ -60,7 +79,16 @@ def main(typed: list[str]) -> int:
     Raises:
         LoopcloseError: something is wrong with what was typed, or with the run.
     """
-    arguments = parse(typed)
+    return decide_again(typed, _REPLAY)
+
+
+def decide_again(typed: list[str], again: Again) -> int:
+    """Decide again, in which way ever, and return the exit code 0.
+
+    Raises:
+        LoopcloseError: something is wrong with what was typed, or with the run.
+    """
+    arguments = parse(typed, again)
     from slam.geometry.features import search_images_on_one_thread
     from slam.output.replay.measurements import MEASUREMENTS, read_measurements
 
@@ -74,28 +102,45 @@ def main(typed: list[str]) -> int:
     measured = read_measurements(run / MEASUREMENTS, arguments.settings)
     before = load_config(run / "settings.toml")
     _refuse_what_cannot_be(before, arguments.settings, measured)
-    _decide(arguments, measured)
+    if again.needs_features and not measured.remembered:
+        raise SlamError(
+            f"the run kept no features, without which no loop can be verified: it {_WHY}: {run}"
+        )
+    _decide(arguments, measured, again)
     return 0
 
 
-def parse(typed: list[str]) -> Arguments:
+def _replayed(measured: "Measurements", settings: Config, poses: "PoseFile | None") -> "Slam":
+    from slam.output.replay.finishing import replayed
+
+    return replayed(measured.journal, settings, poses, measured.remembered)
+
+
+_REPLAY = Again("replay", _DESCRIPTION, _replayed)
+
+
+def parse(typed: list[str], again: Again = _REPLAY) -> Arguments:
     """Return the parsed command line; exits with code 0 after --help and the like.
 
     Raises:
         LoopcloseError: something is wrong with it, or the settings cannot be read.
     """
-    first = _parse(typed, Config())  # tells the run, whose settings are what is not typed
+    first = _parse(typed, again, Config())  # tells the run, whose settings are what is not typed
     path = first.config or first.run / "settings.toml"
-    return _parse(typed, load_config(path)) if first.config or path.is_file() else first
+    return _parse(typed, again, load_config(path)) if first.config or path.is_file() else first
 
 
-def _parse(typed: list[str], defaults: Config) -> Arguments:
+def _parse(typed: list[str], again: Again, defaults: Config) -> Arguments:
+    prog = f"run_slam {again.name}"
+
     def read(left: list[str]) -> Arguments:
         default = Arguments(run=tyro.MISSING, settings=defaults)
-        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left, default=default)
+        return tyro.cli(
+            Arguments, prog=prog, description=again.description, args=left, default=default
+        )
 
     sections = {type(section).__name__: name for name, section in defaults}
-    return usage.answered(PROG, typed, read, sections)
+    return usage.answered(prog, typed, read, sections)
 
 
 def _refuse_what_cannot_be(before: Config, now: Config, measured: "Measurements") -> None:
@@ -108,28 +153,27 @@ def _refuse_what_cannot_be(before: Config, now: Config, measured: "Measurements"
             flag = f"--{section}.{name}".replace("_", "-")
             why = "its images are needed for that"
             if section in _WITH_FEATURES:
-                why = "it kept no features: it had too many keyframes, was killed, or its"
-                why += " recognizer compares by itself"
+                why = f"it kept no features: it {_WHY}"
             raise SlamError(f"{flag} cannot be decided again for this run: {why}; run it again")
 
 
-def _decide(arguments: Arguments, measured: "Measurements") -> None:
+def _decide(arguments: Arguments, measured: "Measurements", again: Again) -> None:
     import shlex
     from dataclasses import replace
 
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.replay.finishing import poses_again, replayed
+    from slam.output.replay.finishing import poses_again
     from slam.output.run_folder import begin_outputs
 
     run, journal, settings = arguments.run, measured.journal, arguments.settings
     here = run.resolve()  # `.` has no name
-    folder = arguments.out or here.with_name(f"{here.name}-replay")
+    folder = arguments.out or here.with_name(f"{here.name}-{again.name}")
     if folder.resolve() == here:
         raise SlamError(f"--out is the run that is decided again; choose another folder: {folder}")
     partly = () if journal.is_whole else (_NOT_WHOLE,)
     told = (*journal.header.warnings, *partly, _AGAIN.format(run))
-    header = replace(journal.header, command=shlex.join([*PROG.split(), str(run)]))
+    header = replace(journal.header, command=shlex.join(["run_slam", again.name, str(run)]))
     poses = poses_again(journal, settings)
     with ClaimedFolder(folder) as claimed:
         claimed.refuse_foreign(OUTPUTS)
@@ -137,8 +181,7 @@ def _decide(arguments: Arguments, measured: "Measurements") -> None:
         truth = measured.truth
         asked = Run(claimed, header, settings, truth, poses, lambda: told, keeps=False)
         with _all_or_nothing(claimed, run):
-            slam = replayed(journal, settings, poses, measured.remembered)
-            ended = conclude(asked, slam)
+            ended = conclude(asked, again.slam(measured, settings, poses))
         say(ended.table)
         if ended.problems:
             raise LoopcloseError("; ".join(ended.problems))

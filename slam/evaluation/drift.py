@@ -52,6 +52,8 @@ class DriftReport:
         loops: one entry per loop attempt, in the same order.
         helped_m: (A,) per loop attempt, how much larger the ATE of the keyframes would be without
             it, NaN of one not in use.
+        before_more_loops: error of the corrected trajectory before loops were looked for again,
+            None where they were not.
         links_nees: (L,) `nees` of the result's links, in the same order, NaN where unknown.
         tolerance_s: association tolerance between estimated and true poses.
         coverage: share of the sequence's time span that ground truth covers.
@@ -78,6 +80,7 @@ class DriftReport:
     doubts: tuple[str, ...] = ()
     unjudged: str = ""
     helped_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    before_more_loops: TrajectoryError | None = None
 
     @property
     def median_links_nees(self) -> float:
@@ -165,6 +168,9 @@ def compare_drift(result: SlamResult, truth: Trajectory, config: EvaluationConfi
         doubts=(*found.doubts, *_doubts_about_scale(found.scale, result.camera.depth_scale)),
         unjudged=found.unjudged,
         helped_m=helped_m(result, truth, config.max_time_difference_s),
+        before_more_loops=_error_of_some(result.more_loops.before, truth, config)
+        if result.more_loops
+        else None,
     )
     return _without_relative(drift) if found.unjudged else drift
 

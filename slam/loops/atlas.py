@@ -11,8 +11,7 @@ from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Trust, Verdict, judge
 from slam.geometry import se3
 from slam.loops.correction import Correction
-from slam.loops.remembered import SavedMap
-from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
+from slam.loops.submaps import Loop, SavedMap, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
 
@@ -92,12 +91,16 @@ class Atlas:
         self._keyframes.append(keyframe)
         self._T_odom_kf.append(keyframe.T_odom_cam)
         self._links.extend(links)
+        self.add_loops(attempts)
+
+    def add_loops(self, attempts: Mapping[int, LoopAttempt]) -> None:
+        """Add loops by key, between keyframes that are in the map."""
         for key, attempt in attempts.items():
             if isinstance(attempt.outcome, RelativePose) and (seen := attempt.verification):
                 points_ref_m = seen.points_ref_m[seen.inlier_mask].astype(np.float64)
                 loop = Loop.of(attempt.match_id, attempt.query_id, attempt.outcome, points_ref_m)
                 self._loops[key] = loop
-                self.loops[keyframe.segment] += 1
+                self.loops[self._keyframes[attempt.query_id].segment] += 1
 
     def loop(self, key: int) -> Loop:
         """Return a loop by its key."""
@@ -139,7 +142,7 @@ class Atlas:
         graph = PoseGraph(
             dict(zip(inside, T_world_kf, strict=True)),
             tuple(largest.links),
-            _shared_out(loops),
+            shared_out(loops),
             tuple(each for each in steps if each.ref_id in inside and each.query_id in inside),
         )
         return LargestSubmap(
@@ -186,7 +189,7 @@ class Atlas:
         return {key: int(bool(pair & near)) for key, pair in pairs.items() if pair != {home}}
 
 
-def _shared_out(loops: Mapping[int, Loop]) -> dict[int, Link]:
+def shared_out(loops: Mapping[int, Link]) -> dict[int, Link]:
     """Return the loops with as much information per query as one of them has.
 
     What bends the query's image is in all of its loops: they repeat its error, not correct it.

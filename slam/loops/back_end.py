@@ -23,9 +23,9 @@ from slam.loops.cost_of_odometry import borne_out
 from slam.loops.evidence import Evidence
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
-from slam.loops.remembered import SavedMap
 from slam.loops.settled import Settled
 from slam.loops.stage_clock import StageClock
+from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.stored_map import part_of_map
 from slam.pose_graph import GraphSolution, PoseGraph, leave_one_out, solve_beside
@@ -164,6 +164,11 @@ class BackEnd:
         while self._queue:
             attempts = self._next_result()
         return attempts
+
+    def add_loops(self, attempts: Sequence[LoopAttempt]) -> None:
+        """Take loop candidates that were looked at once all keyframes were taken in."""
+        self._atlas.add_loops(dict(enumerate(attempts, len(self.attempts))))
+        self.attempts.extend(attempts)
 
     def catch_up(self) -> None:
         """Wait for the corrections by all loops that were closed so far.

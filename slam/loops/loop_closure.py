@@ -17,8 +17,9 @@ from slam.geometry.relative_pose import estimate_relative_pose
 from slam.loops.adaptive_threshold import AdaptiveThreshold
 from slam.loops.known_distances import KnownDistances
 from slam.loops.novelty import Novelty
-from slam.loops.remembered import Remembered, SavedMap
+from slam.loops.remembered import Remembered
 from slam.loops.second_look import SecondLook
+from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
@@ -27,6 +28,7 @@ from slam.types import (
     IntArray,
     Keyframe,
     LoopAttempt,
+    Proposal,
     Rejection,
     RejectionReason,
     RelativePose,
@@ -226,7 +228,7 @@ class LoopCloser:
         pairs, shown = [np.empty(0, np.float32)], compared(len(self._keyframes))
         for k, row in zip(shown, similarities, strict=True):
             before = np.arange(0, k, shown.step)
-            looked_at = self._is_candidate(before, k, self._segments[k], self._linked_ids[k])
+            looked_at = self.candidates(k)[before]
             pairs.append(row[: len(looked_at)][looked_at])
         return Calibration(self.certificate, np.concatenate(pairs), shown.step)
 
@@ -237,6 +239,28 @@ class LoopCloser:
         is_other = np.array(self._segments, np.int64)[numbers] != segment
         is_old_enough = numbers < number + 1 - self._loop_config.min_gap
         return np.asarray(is_other | (is_old_enough & ~np.isin(numbers, linked_ids)))
+
+    def candidates(self, number: int) -> NDArray[np.bool_]:
+        """Return (number,), which earlier keyframes the one with a number may close a loop with."""
+        earlier = np.arange(number)
+        linked_ids = self._linked_ids[number]
+        return self._is_candidate(earlier, number, self._segments[number], linked_ids)
+
+    def verify(
+        self, query: Keyframe, match: Keyframe, similarity: float, proposed_by: Proposal
+    ) -> LoopAttempt:
+        """Return what geometry makes of two keyframes that need not be alike."""
+        verification, outcome, checks = self._verified(query, match)
+        return LoopAttempt(
+            query.id,
+            match.id,
+            similarity,
+            verification,
+            outcome,
+            min_similarity=self.min_similarity,
+            checks=checks,
+            proposed_by=proposed_by,
+        )
 
     def threshold(self) -> ThresholdFit | None:
         """Return how reliable the threshold in use is, None where nobody can tell."""

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from slam.evaluation.drift import DriftReport
-from slam.output.decision import Decision, decisions
+from slam.output.decision import FALSE, LOOKED_AGAIN, Decision, decisions
 from slam.output.ledger import InfluenceRecord, influence_record
 from slam.result import SlamResult
 from slam.types import Trajectory
@@ -43,6 +43,57 @@ def counterfactual(result: SlamResult, drift: DriftReport | None) -> dict[str, o
             for loop, record in loops
         ],
     }
+
+
+def looked_again(result: SlamResult, drift: DriftReport | None) -> dict[str, object] | None:
+    """Return what looking again did, for summary.json; None where loops were not looked for again.
+
+    - rounds: how often.
+    - pairs_overlap, pairs_next_similar: how many pairs were tried, by what proposed them.
+    - found_overlap, found_next_similar: how many of them are loops in use.
+    - found_false: how many of those are false by ground truth; None without.
+    - loops_before, dropped: how many were in use before, and how many of those no longer are.
+    - moved_mm: root mean square over the frames, by how much the map changed.
+    - ate_before_m: of the corrected frames then; now it is ate_corrected_m.
+    """
+    if (more := result.more_loops) is None:
+        return None
+    new = [each for each in decisions(result, drift) if each.attempt.proposed_by in LOOKED_AGAIN]
+    tried = Counter(each.attempt.proposed_by for each in new)
+    found = Counter(each.attempt.proposed_by for each in new if each.attempt.rejection is None)
+    can_judge = drift is not None and not drift.unjudged
+    before = drift.before_more_loops if drift else None
+    return {
+        "rounds": more.rounds,
+        **{f"pairs_{each}": tried[each] for each in LOOKED_AGAIN},
+        **{f"found_{each}": found[each] for each in LOOKED_AGAIN},
+        "found_false": sum(each.kind == FALSE for each in new) if can_judge else None,
+        "loops_before": more.in_use,
+        "dropped": more.dropped,
+        "moved_mm": _moved_mm(more.before, result.corrected),
+        "ate_before_m": before.ate_rmse_m if before else None,
+    }
+
+
+def looked_again_in_words(result: SlamResult, drift: DriftReport | None) -> str | None:
+    """Return what looking again did, half a sentence; None where it was not done."""
+    if (told := looked_again(result, drift)) is None:
+        return None
+    found = [
+        f"{told[f'found_{each}']} of {told[f'pairs_{each}']} pairs {words}"
+        for each, words in LOOKED_AGAIN.items()
+    ]
+    rounds = f"{told['rounds']} round{'' if told['rounds'] == 1 else 's'}"
+    text = f"{', '.join(found)}, in {rounds}, beside {told['loops_before']} before"
+    if told["dropped"]:
+        text += f", of which {told['dropped']} are dropped"
+    if told["found_false"]:
+        text += f"; {told['found_false']} of the new ones are false"
+    if told["moved_mm"] is not None:
+        text += f"; the path moved {told['moved_mm']:.2g} mm (RMS)"
+    if drift and told["ate_before_m"] is not None:
+        text += f", ATE {told['ate_before_m']:.4f} m -> {drift.corrected.ate_rmse_m:.4f} m"
+    return text
 
 
 def by_influence(loops: Sequence[Decision]) -> list[tuple[Decision, InfluenceRecord]]:

@@ -7,10 +7,16 @@ from dataclasses import dataclass
 from slam.evaluation.drift import DriftReport
 from slam.evaluation.motion_truth import LoopTruth
 from slam.result import SlamResult
-from slam.types import Keyframe, LoopAttempt, RejectionReason
+from slam.types import Keyframe, LoopAttempt, Proposal, RejectionReason
 
 FALSE, ACCEPTED = "false", "accepted"
 OUTVOTED = RejectionReason.OUTVOTED.name.lower()
+
+LOOKED_AGAIN = {
+    Proposal.OVERLAP: "whose views should overlap by the map",
+    Proposal.NEXT_SIMILAR: "that are next in similarity",
+}
+"""What proposes pairs of keyframes where loops are looked for again."""
 
 _COUNT = "needed {needed:.0f} %s, had {measured:.0f}: {short:.0f} short"
 _SHARE = "needed {needed:.1%%} %s, had {measured:.1%%}: {short_percent:.1f} points short"
@@ -101,6 +107,11 @@ class Decision:
             short=needed - measured,
             short_percent=100 * (needed - measured),
         )
+
+    @property
+    def proposal(self) -> str:
+        """What made it a candidate where loops were looked for again, else nothing."""
+        return LOOKED_AGAIN.get(self.attempt.proposed_by, "")
 
     @property
     def truth_text(self) -> str:

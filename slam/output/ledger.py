@@ -21,10 +21,11 @@ from slam.geometry import se3
 from slam.output.claimed_folder import UNFINISHED
 from slam.output.decision import Decision, decisions
 from slam.result import SlamResult
-from slam.types import Check, Rejection, RejectionReason, RelativePose, SlamError
+from slam.types import Check, Proposal, Rejection, RejectionReason, RelativePose, SlamError
 
-VERSION: Literal[1] = 1
+VERSION: Literal[2] = 2
 """Of the schema: larger whenever a reader of the one before would be misled."""
+_OLDEST = 1
 
 _STAGES = {
     RejectionReason.LOW_SIMILARITY: "similarity",
@@ -131,9 +132,10 @@ class LoopRecord:
         weight: the pose graph's final trust, 0 (ignored) to 1; None where it was not asked.
         influence: what it did to the map; None of a loop not in use, or in a large map.
         truth: None without ground truth at both keyframes.
+        proposed_by: what made it a candidate, a value of `Proposal`.
     """
 
-    version: Literal[1]
+    version: Literal[1, 2]
     query_id: int
     match_id: int
     query_timestamp_s: float
@@ -154,6 +156,7 @@ class LoopRecord:
     weight: float | None
     influence: InfluenceRecord | None
     truth: TruthRecord | None
+    proposed_by: str = Proposal.SIMILARITY.value  # all that version 1 knew
 
 
 _LINE = TypeAdapter(LoopRecord)
@@ -214,12 +217,12 @@ def _of_another_version(line: str) -> str | None:
     try:
         content = json.loads(line)
         version = content.get("version", 0 if "query_id" in content else VERSION)
-        is_newer, is_older = version > VERSION, version < VERSION
+        is_newer, is_older = version > VERSION, version < _OLDEST
     except (ValueError, TypeError, AttributeError, RecursionError):
         return None
     if is_newer:
         return f"is of schema {version}, and this reads {VERSION}: update loopclose"
-    return f"was written before schema {VERSION}: run again" if is_older else None
+    return f"was written before schema {_OLDEST}: run again" if is_older else None
 
 
 def loop_records(result: SlamResult, drift: DriftReport | None) -> tuple[LoopRecord, ...]:
@@ -260,6 +263,7 @@ def _record(loop: Decision, min_similarity: float) -> LoopRecord:
         weight=_number(attempt.weight) if attempt.weight is not None else None,
         influence=influence_record(loop),
         truth=truth,
+        proposed_by=attempt.proposed_by.value,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from placerec.certificate import Certificate
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import RIGHT_MEDIAN_NEES
-from slam.output.counterfactual import counterfactual
+from slam.output.counterfactual import counterfactual, looked_again, looked_again_in_words
 from slam.result import MapMeshes, SlamResult
 from slam.types import RejectionReason
 
@@ -35,6 +35,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
       geometry and the pose graph believe, outvoted ones those that only geometry does.
     - keyframes_with_loop: those that have an accepted one to an earlier keyframe.
     - counterfactual: what adjusting did, what loops did and what each did; see `counterfactual`.
+    - more_loops: what looking for loops again did; None where they were not; see `looked_again`.
     - loops_judged, loops_false: how many accepted loops ground truth covers, and how many of those
       are off by more than the limits, None where it says nothing of how the camera turned.
     - min_similarity: the one from which candidates were verified, in the end where it was adapted.
@@ -89,6 +90,7 @@ def summarise(result: SlamResult, drift: DriftReport | None) -> dict[str, object
             {attempt.query_id for attempt in result.attempts if attempt.rejection is None}
         ),
         "counterfactual": counterfactual(result, drift),
+        "more_loops": looked_again(result, drift),
         "loops_judged": len(verdicts) if drift else None,
         "loops_false": sum(verdicts) if drift and not drift.unjudged else None,
         "min_similarity": result.min_similarity,
@@ -181,6 +183,8 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         ("loops", loops),
         *(_drift_rows(drift) if drift else _NO_TRUTH),
     ]
+    if more := looked_again_in_words(result, drift):
+        rows.insert(rows.index(("loops", loops)) + 1, ("more loops", more))
     if result.meshes:
         rows.append(("mesh", result.meshes.explanation))
     if summary["frames_per_second"] is not None:

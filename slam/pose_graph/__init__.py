@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.leave_one_out import leave_one_out
 from slam.pose_graph.live import solve_beside
+from slam.pose_graph.uncertainty import uncertainty
 
 if TYPE_CHECKING:
     from slam.pose_graph.from_g2o import solve_g2o
@@ -24,6 +25,7 @@ __all__ = [
     "solve",
     "solve_beside",
     "solve_g2o",
+    "uncertainty",
     "write_g2o",
 ]
 

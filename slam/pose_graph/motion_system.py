@@ -18,6 +18,8 @@ from slam.types import FloatArray, IntArray
 # of 1 rad and 1 m with some room, and next to none of what half of the links have: where those are
 # of other units, or all of them poor, that is no gap. What is merely uncertain still foretells.
 _NEXT_TO_NOTHING, _NEXT_TO_NONE = 2.0, 0.01
+# Keyframes: with more of them an earlier solution halves the work of the next one on the way.
+_MOST_FROM_NOTHING = 100
 _AT_ONCE = 1000  # loops, or pairs of them: their draws are 3 kB each
 _DRAWN_AT_ONCE = 10_000  # motions
 _DRAWS, _SEED = 64, 0  # enough to know a covariance of six numbers to a fifth
@@ -28,8 +30,8 @@ class MotionSystem:
 
     Attributes:
         T_links: (K, 4, 4), where the graph begins: what the links make of it.
-        T_start: (K, 4, 4), where the graph begins, but of a large one where its earlier solution
-            has the keyframes, if it was solved; the others go on from the last one that it knew.
+        T_start: (K, 4, 4), where the graph begins, but of all but a small one where its earlier
+            solution has the keyframes, if it was solved; others go on from the last that it knew.
         is_solved: whether it was.
         first_loop: how many motions come before the loops.
         loop_count: how many loops there are.
@@ -39,7 +41,8 @@ class MotionSystem:
     def __init__(self, graph: PoseGraph) -> None:
         row_of = {k: row for row, k in enumerate(graph.T_world_kf)}
         motions = [*graph.links, *graph.steps, *graph.loops.values()]
-        self.is_solved = graph.is_large and next(iter(graph.T_world_kf)) in graph.solved
+        first = next(iter(graph.T_world_kf))
+        self.is_solved = len(graph.T_world_kf) > _MOST_FROM_NOTHING and first in graph.solved
         self.T_links = np.array([*graph.T_world_kf.values()])
         self.T_start = self.T_links
         if self.is_solved:

@@ -24,7 +24,7 @@ ESTIMATES = {
 """All of a run, and what they are called in the keys of its summary."""
 _SAME = 0.5
 _LARGEST = 1e12  # of what a summary tells
-_REPLAY = "replay"  # of a run, whose recording the command does not name
+_AGAIN = ("replay", "more-loops")  # of a run, whose recording the command does not name
 _SUMMARY, _SETTINGS, _TRUTH = "summary.json", "settings.toml", "groundtruth.txt"
 
 
@@ -190,8 +190,8 @@ def _told(command: object) -> tuple[str, dict[str, str]]:
         words = []
     first_flag = next((i for i, word in enumerate(words) if word.startswith("--")), len(words))
     named = [Path(word).name for word in words[1:first_flag]]
-    if named[:1] == [_REPLAY]:
-        return "", {_REPLAY: " ".join(words[2:first_flag])}
+    if named and named[0] in _AGAIN:
+        return "", {named[0]: " ".join(words[2:first_flag])}
     flags, values = words[first_flag::2], words[first_flag + 1 :: 2]
     told = {flag.removeprefix("--"): value for flag, value in zip(flags, values, strict=False)}
     return "+".join(benchmark_name(name) or name for name in named), told

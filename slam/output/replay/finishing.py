@@ -1,27 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run once more, from what it measured and without its images.
 
-What a killed one left is finished so, and what a whole one decided is decided again.
+What a killed one left is finished so, what a whole one decided is decided again, and loops that it
+did not try are looked for.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.files import Progress
 from slam.config import Config
 from slam.datasets.pose_files import PoseFile, read_odometry
 from slam.external_odometry.pose_feed import PoseFeed
 from slam.loops.back_end import ClosedLoops
 from slam.loops.loop_closure import LoopCloser
-from slam.loops.remembered import Remembered
+from slam.loops.remembered import Remembered, proposed_pairs
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
 from slam.output.journal import Header, Journal
-from slam.result import Calibration, SlamResult, ThresholdFit, compared
+from slam.result import Calibration, MoreLoops, SlamResult, ThresholdFit, compared
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.types import (
@@ -36,6 +39,13 @@ from slam.types import (
 NOT_ADJUSTED = (
     "this was made of what a run had left, without images and features: the pose graph is solved,"
     " but the map is not adjusted to it, and there are no pictures and no point cloud"
+)
+
+
+_MOST_ROUNDS = 3  # each looks at the next pairs, of a map that the loops of the last one corrected
+_DROPPED = (
+    "the loops that were found by looking again contradict the run: {} of its {} loops are not in"
+    " use any more"
 )
 
 
@@ -100,6 +110,51 @@ class ReplayedSlam(Slam):
         return loops.T_world_kf, loops.T_world_kf_without, left_out
 
 
+class SearchingSlam(ReplayedSlam):
+    """Looks for loops again once the map is solved, in few rounds, until none is found."""
+
+    def __init__(
+        self,
+        journal: Journal,
+        config: Config,
+        remembered: Remembered,
+        shown: Callable[[], AbstractContextManager[Progress]],
+    ) -> None:
+        """Begin; how many pairs of keyframes were looked at is shown, anew each round."""
+        super().__init__(journal, config, remembered)
+        self._kept = remembered
+        self._shown = shown
+
+    def finish(self) -> SlamResult:
+        """Return what the run found out, and what there is once it looked again."""
+        result = super().finish()
+        before, rounds = result, 0
+        while rounds < _MOST_ROUNDS and (attempts := self._look_again(result)):
+            rounds += 1
+            self._back_end.add_loops(attempts)
+            if all(each.rejection for each in attempts):
+                result = replace(result, attempts=(*result.attempts, *attempts))
+                break
+            result = super().finish()
+        then = [each.rejection is None for each in before.attempts]
+        now = [each.rejection is None for each in result.attempts[: len(then)]]
+        dropped = sum(was and not stays for was, stays in zip(then, now, strict=True))
+        more = MoreLoops(before.corrected, sum(then), dropped, rounds)
+        told = (_DROPPED.format(dropped, sum(then)),) if dropped else ()
+        return replace(result, more_loops=more, warnings=(*told, *result.warnings))
+
+    def _look_again(self, result: SlamResult) -> list[LoopAttempt]:
+        closer, keyframes = self._back_end.loop_closer, self._back_end.keyframes
+        pairs = proposed_pairs(result, self._kept, closer.candidates, self._config.loop)
+        attempts = []
+        with self._shown() as progress:
+            for done, pair in enumerate(pairs, 1):
+                query, match = keyframes[pair.query_id], keyframes[pair.match_id]
+                attempts.append(closer.verify(query, match, pair.similarity, pair.proposed_by))
+                progress(done, len(pairs))
+        return attempts
+
+
 def replayed(
     journal: Journal,
     config: Config,
@@ -107,7 +162,11 @@ def replayed(
     remembered: Remembered | None = None,
 ) -> ReplayedSlam:
     """Return a run with all frames of a journal processed, with poses from elsewhere if any."""
-    slam = ReplayedSlam(journal, config, remembered)
+    return fed(ReplayedSlam(journal, config, remembered), journal, poses)
+
+
+def fed(slam: ReplayedSlam, journal: Journal, poses: PoseFile | None) -> ReplayedSlam:
+    """Return a run that took all frames of its journal, with poses from elsewhere if any."""
     feed = PoseFeed(slam, poses.trajectory if poses else None)
     for number, (timestamp_s, _) in enumerate(journal.frames):
         if number in journal.session_starts:  # before its poses

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.evaluation.drift import DriftReport
-from slam.output.counterfactual import in_words
+from slam.output.counterfactual import in_words, looked_again_in_words
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
 from slam.result import GivenOdometry, SlamResult
 
@@ -79,6 +79,8 @@ def headline(result: SlamResult, drift: DriftReport | None, loops: list[Decision
     is_closed = any(loop.attempt.rejection is None for loop in loops)
     given = [_given(result.given)] if result.given and result.given.verdict else []
     each = [sentence] if (sentence := in_words(loops, drift)) else []
+    if again := looked_again_in_words(result, drift):
+        each.insert(0, f"Loops were looked for again: {again}.")
     if drift is None:
         return [_correction(result, is_closed), _loops(drift, loops), *each, *given]
     adjustment = _adjustment(drift, "given odometry" if result.given else "odometry")

@@ -18,6 +18,7 @@ from slam.types import (
     Frame,
     Keyframe,
     LoopAttempt,
+    Proposal,
     Rejection,
     RejectionReason,
     RelativePose,
@@ -209,16 +210,32 @@ def test_a_killed_run_is_read_from_its_folder_but_for_what_is_torn(tmp_path):
 @pytest.mark.parametrize(
     ("written", "told"),
     [
-        ('"version": 2', "is of schema 2, .* update loopclose"),
+        ('"version": 3', "is of schema 3, .* update loopclose"),
         ('"older": 1', "was written before .*"),
     ],
 )
 def test_another_version_of_the_schema_is_told(tmp_path, written, told):
     path = tmp_path / "loops.jsonl"
     write_ledger(path, result(), None)
-    path.write_text(path.read_text().replace('"version": 1', written))
+    path.write_text(path.read_text().replace('"version": 2', written))
     with pytest.raises(SlamError, match=f"^line 1 of the loop ledger {told}: {path}$"):
         read_ledger(path)
+
+
+def test_a_ledger_of_the_version_before_is_read(tmp_path):
+    path = tmp_path / "loops.jsonl"
+    write_ledger(path, result(), None)
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    old = [{**line, "version": 1} for line in lines if line.pop("proposed_by")]
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in old))
+    records = loop_records(result(), None)
+    assert read_ledger(path) == tuple(replace(each, version=1) for each in records)
+
+
+def test_a_line_says_what_made_it_a_candidate(tmp_path):
+    again = replace(ATTEMPTS[0], proposed_by=Proposal.OVERLAP)
+    write_ledger(tmp_path / "l", result((*ATTEMPTS[:1], again)), None)
+    assert [each.proposed_by for each in read_ledger(tmp_path / "l")] == ["similarity", "overlap"]
 
 
 def test_lines_are_plain_json_in_the_order_of_the_attempts(tmp_path):

@@ -17,7 +17,7 @@ def journal_of(slam, camera, frames, folder, poses=None, sessions=()):
             if number in sessions:
                 slam.start_session()
                 writer.start_session()
-            writer.add(frame.timestamp_s, slam.process(frame))
+            writer.add(frame, slam.process(frame))
         slam.settle()
     return read_journal(folder)
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How many true pairs a threshold cuts off, and how many wrong ones pass it: a Markdown table.
 
-    python -m benchmarks.adaptive_threshold DATA... [--recognizer NAME] [--resamples 200]
+    python -m benchmarks.place_recognition.adaptive_threshold DATA... [--recognizer NAME]
+        [--resamples 200]
 
 From the root of the repository; DATA as `placerec evaluate` takes it. Three thresholds are compared
 on all pairs that count: the calibrated one, the adaptive one, and the oracle's, which knows the

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks import adaptive_threshold
+from benchmarks.place_recognition import adaptive_threshold
 from placerec.datasets import open_dataset
 
 
