@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+import shutil
 import sys
 from dataclasses import replace
 
@@ -117,3 +118,13 @@ def test_somebodys_files_are_not_written_over(recording, tmp_path, capsys):
     (tmp_path / "tolerance.csv").write_text("mine")
     assert main(["stress", str(recording), *ASKED, "--out", str(tmp_path)]) == 2
     assert "holds a tolerance.csv" in capsys.readouterr().err
+
+
+def test_trials_that_were_removed_are_made_anew(short_recording, tmp_path):
+    typed = ["stress", str(short_recording(30)), *ASKED[:3], "odometry-noise"]
+    typed += ["--out", str(tmp_path / "out")]
+    assert main(typed) == 0
+    before = (tmp_path / "out" / "tolerance.csv").read_bytes()
+    shutil.rmtree(tmp_path / "out" / "trials")
+    assert main(typed) == 0
+    assert (tmp_path / "out" / "tolerance.csv").read_bytes() == before
