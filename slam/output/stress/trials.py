@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from placerec.errors import LoopcloseError
+from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress
 from placerec.recognizer import load
 from slam.config import Config
@@ -74,11 +74,11 @@ class Bench:
             given += changed is not None
             return changed
 
+        slam = Slam(self.sessions.camera, load(self.recognizer), self.config)
         try:
-            slam = Slam(self.sessions.camera, load(self.recognizer), self.config)
             track(slam, self.sessions, stressed, progress)
             result = slam.finish()
-        except SlamError as ended:  # nothing could be tracked
+        except (SlamError, RecognizerError) as ended:  # nothing is tracked, or told apart
             unknown = (None, None, None, self.clean.has_truth)
             return Outcome(stressor, level, *unknown, given, 0, 0, 0, 0, (), str(ended))
         return self._outcome(stressor, level, result, given, ())

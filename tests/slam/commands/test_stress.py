@@ -4,10 +4,12 @@ import shutil
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from placerec.recognizers.gradients import GradientRecognizer
 from slam.__main__ import main
-from slam.output.stress.stressors import STRESSORS
+from slam.output.stress.stressors import STRESSORS, Stressor
 from slam.output.stress.trials import Bench
 
 ASKED = ("--recognizer", "gradients", "--only", "dropped-frames,false-clusters,odometry-noise")
@@ -128,3 +130,21 @@ def test_trials_that_were_removed_are_made_anew(short_recording, tmp_path):
     shutil.rmtree(tmp_path / "out" / "trials")
     assert main(typed) == 0
     assert (tmp_path / "out" / "tolerance.csv").read_bytes() == before
+
+
+class Dazzled(GradientRecognizer):
+    """Finds nothing to describe in the dark, as whatever divides by a norm."""
+
+    def embed(self, image):
+        return super().embed(image) * (1.0 if image.mean() > 50.0 else np.nan)
+
+
+def test_a_recognizer_that_fails_under_stress_ends_its_trial_alone(
+    short_recording, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(STRESSORS, "darkness", Stressor((0.6,), "share"))
+    out, recognizer = tmp_path / "out", f"{__name__}:Dazzled"
+    asked = ("--recognizer", recognizer, "--only", "darkness", "--out", str(out))
+    assert main(["stress", str(short_recording(30)), *asked]) == 0
+    (trial,) = trials(out, "darkness")
+    assert "NaN" in trial["ended"] and trial["ate_m"] is None
