@@ -121,12 +121,22 @@ def _bench(told: Arguments, config: Config, sessions: "Sessions", kept: "StressF
 
 
 def _try(bench: "Bench", names: list[str], kept: "StressFolder") -> None:
-    """Make the trials that were not kept, one after the other, and keep each at once."""
+    """Make the trials that were not kept, one after the other, and keep each at once.
+
+    Raises:
+        LoopcloseError: nothing can be tried, or a trial cannot be made or kept.
+    """
     from slam.output.stress.stressors import STRESSORS
 
+    obstacles = {name: why for name in names if (why := bench.obstacle(name))}
+    for name, why in obstacles.items():
+        note(f"{name} is not tried: {why}")
+    if len(obstacles) == len(names) and not kept.trials():
+        raise SlamError("there is nothing to try")
     todo = [
         (name, level)
         for name in names
+        if name not in obstacles
         for level in STRESSORS[name].levels
         if kept.trial(name, level) is None
     ]

@@ -148,3 +148,15 @@ def test_a_recognizer_that_fails_under_stress_ends_its_trial_alone(
     assert main(["stress", str(short_recording(30)), *asked]) == 0
     (trial,) = trials(out, "darkness")
     assert "NaN" in trial["ended"] and trial["ate_m"] is None
+
+
+def test_without_a_loop_to_copy_false_ones_are_not_said_to_be_tolerated(
+    short_recording, tmp_path, capsys
+):
+    typed = ["stress", str(short_recording(30)), *ASKED[:2], "--out", str(tmp_path / "out")]
+    assert main([*typed, "--only", "false-loops"]) == 2
+    said = capsys.readouterr().err
+    assert "false-loops is not tried: the clean run verified no loop" in said
+    assert main([*typed, "--only", "false-loops,odometry-noise"]) == 0
+    told = json.loads((tmp_path / "out" / "tolerance.json").read_text())
+    assert list(told["stressors"]) == ["odometry-noise"]
