@@ -10,6 +10,7 @@ import tyro
 from placerec.commands import usage
 from placerec.commands.console import note, progress_bar, say
 from placerec.recognizer import load
+from slam import __version__
 from slam.commands.opening import DEFAULT_RECOGNIZER, opened
 from slam.config import Config, load_config
 from slam.types import SlamError
@@ -91,9 +92,11 @@ def _stress(told: Arguments, names: list[str], config: Config, folder: Path) -> 
             "recognizer": told.recognizer,
             "seed": told.seed,
             "settings": config.model_dump(mode="json"),
+            "loopclose": __version__,
         }
         load(told.recognizer)  # before the demo is rendered for one that there is not
         sessions = Sessions([opened(told.sequence, config.input, folder)])
+        asked["length"] = len(sessions.timestamps_s)  # a recording of that name may be another
         kept.begin(asked)  # from here on the folder is not left empty
         bench = _bench(told, config, sessions, kept)
         _try(bench, names, kept)

@@ -160,3 +160,21 @@ def test_without_a_loop_to_copy_false_ones_are_not_said_to_be_tolerated(
     assert main([*typed, "--only", "false-loops,odometry-noise"]) == 0
     told = json.loads((tmp_path / "out" / "tolerance.json").read_text())
     assert list(told["stressors"]) == ["odometry-noise"]
+
+
+def test_trials_of_another_recording_or_version_are_not_mixed_in(
+    short_recording, tmp_path, capsys, monkeypatch
+):
+    recording = short_recording(30)
+    typed = ["stress", str(recording), *ASKED[:2], "--only", "odometry-noise"]
+    typed += ["--out", str(tmp_path / "out")]
+    assert main(typed) == 0
+    monkeypatch.setattr("slam.commands.stress.__version__", "0.0.0")
+    assert main(typed) == 2
+    assert "a stress with another loopclose; choose" in capsys.readouterr().err
+    monkeypatch.undo()
+    for each in ("rgb.txt", "depth.txt"):
+        lines = (recording / each).read_text().splitlines(keepends=True)
+        (recording / each).write_text("".join(lines[:-5]))
+    assert main(typed) == 2
+    assert "a stress with another length; choose" in capsys.readouterr().err
