@@ -200,3 +200,12 @@ def test_keyframes_without_a_place_are_left_out(here, tmp_path):
     T_world_kf[:] = np.nan
     with pytest.raises(SlamError, match="no keyframe is on both paths"):
         meshes_apart(tmp_path, replace(run, T_world_kf=T_world_kf), VOXELS)
+
+
+def test_an_odometry_in_a_frame_of_its_own_is_shown_as_any_other(here, made, tmp_path):
+    run = looking_at_a_wall()
+    T_map_world = se3.exp(np.array([np.pi / 2.0, 0.0, 0.3, 5.0, 0.0, 1.0]))
+    elsewhere = replace(run.odometry, T_world_cam=T_map_world @ run.odometry.T_world_cam)
+    before = meshes_apart(tmp_path, replace(run, odometry=elsewhere), VOXELS).before
+    off = np.abs(before.overview.astype(int) - made[1].before.overview)
+    assert off.mean() < 1.0
