@@ -16,7 +16,7 @@ from slam.geometry import se3
 from slam.geometry.features import undistort
 from slam.output.mesh import before_and_after, separate_process
 from slam.output.mesh.separate_process import MESHES, meshes_apart, straight_pixels
-from slam.result import SlamResult
+from slam.result import MapMesh, MapMeshes, SlamResult
 from slam.tracking.tracked_frame import preview
 from slam.types import (
     Camera,
@@ -209,3 +209,12 @@ def test_an_odometry_in_a_frame_of_its_own_is_shown_as_any_other(here, made, tmp
     before = meshes_apart(tmp_path, replace(run, odometry=elsewhere), VOXELS).before
     off = np.abs(before.overview.astype(int) - made[1].before.overview)
     assert off.mean() < 1.0
+
+
+@pytest.mark.parametrize("has_before", [True, False])
+def test_where_sharpness_is_not_known_no_number_is_said(has_before):
+    picture = np.zeros((1, 1, 3), np.uint8)
+    unknown = MapMesh(np.nan, np.nan, picture, picture)
+    meshes = MapMeshes(unknown if has_before else None, unknown, 0)
+    assert meshes.explanation == "too few points lie together to tell how sharp it is"
+    assert meshes.warnings == ()
