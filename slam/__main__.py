@@ -204,12 +204,13 @@ def _run(arguments: Arguments) -> None:
         )
         truth = sessions.ground_truth
         run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
-        begin_outputs(claimed, settings, header.command, run.truth)
-        journal = JournalWriter(claimed.unfinished, header, slam)
         feed = PoseFeed(slam, poses.trajectory if poses else None)
         view = LiveView(slam, sessions.camera, arguments.live, arguments.rrd) if is_shown else None
-        listeners = (journal, view) if view else (journal,)
+        # A view that cannot be kept is told before what a killed run left here goes.
         with view or nullcontext(), _kept(claimed.path), deferred_interrupts() as interrupted:
+            begin_outputs(claimed, settings, header.command, run.truth)
+            journal = JournalWriter(claimed.unfinished, header, slam)
+            listeners = (journal, view) if view else (journal,)
             with journal:
                 stopped = process(slam, sessions.recordings, feed, listeners, interrupted)
             if not slam.has_keyframes:
