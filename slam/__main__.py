@@ -231,6 +231,8 @@ def _finish(arguments: Arguments) -> None:
     from slam.output.finishing import poses_again, replayed
     from slam.output.journal import read_journal
 
+    if arguments.live or arguments.rrd or arguments.map == "mesh":
+        raise SlamError("--live, --rrd and --map mesh show images, and a killed run has none")
     with ClaimedFolder(Path(arguments.sequence)) as claimed:
         if claimed.is_complete:
             note(f"the run in this folder is complete: {claimed.path}")

@@ -301,8 +301,9 @@ class BackEnd:
         with self._clock.stage("correct"):
             settled = self._settled.of(largest.graph)
             found = borne_out(largest, by_images, partial(self._solve_beside, settled))
-            if settled and self._settled.is_contradicted(*found):
-                settled = {}
+            if self._solved and self._settled.is_contradicted(*found):
+                # From nothing: whoever begins at a mistake sees the truth as what does not fit.
+                settled, self._solved = {}, {}
                 found = borne_out(largest, by_images, partial(self._solve_beside, settled))
             largest, solution = found
             self._settled.take(largest, solution, is_whole=not settled)
