@@ -218,17 +218,15 @@ def _run(arguments: Arguments) -> None:
             None if arguments.load is None else str(arguments.load),
         )
         truth = sessions.ground_truth
-        run = Run(
-            *(claimed, header, settings, truth, poses, lambda: sessions.warnings),
-            keeps=earlier is None,
-            save=arguments.save,
-        )
-        begin_outputs(claimed, settings, header.command, run.truth)
-        journal = JournalWriter(claimed.unfinished, header, slam)
+        run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
+        run = replace(run, keeps=earlier is None, save=arguments.save)
         feed = PoseFeed(slam, poses.trajectory if poses else None)
         view = LiveView(slam, sessions.camera, arguments.live, arguments.rrd) if is_shown else None
-        listeners = (journal, view) if view else (journal,)
+        # A view that cannot be kept is told before what a killed run left here goes.
         with view or nullcontext(), _kept(claimed.path), deferred_interrupts() as interrupted:
+            begin_outputs(claimed, settings, header.command, run.truth)
+            journal = JournalWriter(claimed.unfinished, header, slam)
+            listeners = (journal, view) if view else (journal,)
             with journal:
                 stopped = process(slam, sessions.recordings, feed, listeners, interrupted)
             if not slam.has_keyframes:
@@ -249,6 +247,10 @@ def _finish(arguments: Arguments) -> None:
     from slam.output.journal import read_journal
     from slam.output.replay.finishing import poses_again, replayed
 
+    if arguments.live or arguments.rrd or arguments.map == "mesh":
+        raise SlamError("--live, --rrd and --map mesh show images, and a killed run has none")
+    if arguments.save or arguments.load:
+        raise SlamError("--save and --load need the images of a run, and a killed run has none")
     with ClaimedFolder(Path(arguments.sequence)) as claimed:
         if claimed.is_complete:
             note(f"the run in this folder is complete: {claimed.path}")

@@ -171,6 +171,8 @@ class MapMeshes:
     def explanation(self) -> str:
         """How sharp they are, half a sentence."""
         before, after = self.before, self.after
+        if np.isnan(after.entropy):
+            return "too few points lie together to tell how sharp it is"
         if before is None:
             return (
                 f"map entropy {after.entropy:.3f}, points {1000.0 * after.off_plane_m:.1f} mm off"

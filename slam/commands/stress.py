@@ -10,6 +10,7 @@ import tyro
 from placerec.commands import usage
 from placerec.commands.console import note, progress_bar, say
 from placerec.recognizer import load
+from slam import __version__
 from slam.commands.opening import DEFAULT_RECOGNIZER, opened
 from slam.config import Config, load_config
 from slam.types import SlamError
@@ -91,9 +92,11 @@ def _stress(told: Arguments, names: list[str], config: Config, folder: Path) -> 
             "recognizer": told.recognizer,
             "seed": told.seed,
             "settings": config.model_dump(mode="json"),
+            "loopclose": __version__,
         }
         load(told.recognizer)  # before the demo is rendered for one that there is not
         sessions = Sessions([opened(told.sequence, config.input, folder)])
+        asked["length"] = len(sessions.timestamps_s)  # a recording of that name may be another
         kept.begin(asked)  # from here on the folder is not left empty
         bench = _bench(told, config, sessions, kept)
         _try(bench, names, kept)
@@ -121,12 +124,22 @@ def _bench(told: Arguments, config: Config, sessions: "Sessions", kept: "StressF
 
 
 def _try(bench: "Bench", names: list[str], kept: "StressFolder") -> None:
-    """Make the trials that were not kept, one after the other, and keep each at once."""
+    """Make the trials that were not kept, one after the other, and keep each at once.
+
+    Raises:
+        LoopcloseError: nothing can be tried, or a trial cannot be made or kept.
+    """
     from slam.output.stress.stressors import STRESSORS
 
+    obstacles = {name: why for name in names if (why := bench.obstacle(name))}
+    for name, why in obstacles.items():
+        note(f"{name} is not tried: {why}")
+    if len(obstacles) == len(names) and not kept.trials():
+        raise SlamError("there is nothing to try")
     todo = [
         (name, level)
         for name in names
+        if name not in obstacles
         for level in STRESSORS[name].levels
         if kept.trial(name, level) is None
     ]

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -363,14 +364,18 @@ class BackEnd:
     def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
         with self._clock.stage("correct"):
             settled = self._settled.of(largest.graph)
-
-            def solved(graph: PoseGraph) -> GraphSolution:
-                graph = replace(graph, solved=self._solved)
-                return solve_beside(graph, self._inlier_probability, settled)
-
-            largest, solution = borne_out(largest, by_images, solved)
-            self._settled.take(solution.T_world_kf, largest.trust)
+            found = borne_out(largest, by_images, partial(self._solve_beside, settled))
+            if self._solved and self._settled.is_contradicted(*found):
+                # From nothing: whoever begins at a mistake sees the truth as what does not fit.
+                settled, self._solved = {}, {}
+                found = borne_out(largest, by_images, partial(self._solve_beside, settled))
+            largest, solution = found
+            self._settled.take(largest, solution, is_whole=not settled)
         self._solved, before = solution.T_world_kf, self.corrections[-1]
         self.corrections.append(largest.correction(before, newest_id, solution))
         if largest.graph.is_large:  # each has all keyframes again, and the newest alone is asked
             self.corrections[-2] = replace(before, T_world_kf={})
+
+    def _solve_beside(self, settled: Mapping[int, FloatArray], graph: PoseGraph) -> GraphSolution:
+        graph = replace(graph, solved=self._solved)
+        return solve_beside(graph, self._inlier_probability, settled)

@@ -860,6 +860,11 @@ def test_a_termination_does_what_ctrl_c_does(started, tmp_path, number):
     assert names(ran.folder) == OUTPUTS
 
 
+@pytest.mark.parametrize("flags", [["--live"], ["--rrd", "a.rrd"], ["--map", "mesh"]])
+def test_what_a_killed_run_left_cannot_show_images(capsys, tmp_path, flags):
+    assert "a killed run has none" in refuse([str(tmp_path), "--finish", *flags], capsys)
+
+
 def test_what_a_killed_run_left_is_finished(started, run_slam, tmp_path):
     process = started()
     process.kill()

@@ -28,7 +28,8 @@ def check_live(rrd: Path | None = None) -> None:
     """Refuse what cannot be shown, before anything is done.
 
     Raises:
-        SlamError: Rerun is not installed, or the file has not the suffix that its viewer opens.
+        SlamError: Rerun is not installed, or the file has not the suffix that its viewer opens, or
+            is a folder.
     """
     if find_spec("rerun") is None:
         raise SlamError(
@@ -36,6 +37,8 @@ def check_live(rrd: Path | None = None) -> None:
         )
     if rrd is not None and rrd.suffix != _SUFFIX:
         raise SlamError(f"--rrd writes a file that ends in {_SUFFIX}, as Rerun opens them: {rrd}")
+    if rrd is not None and rrd.is_dir():
+        raise SlamError(f"--rrd writes a file, and this is a folder: {rrd}")
 
 
 class LiveView:

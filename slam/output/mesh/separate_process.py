@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from placerec.files import arrays_of
 from slam.config import MapConfig
+from slam.geometry import se3
 from slam.geometry.features import distort
 from slam.geometry.reprojection import pinhole
 from slam.output.point_cloud import sizes
@@ -65,7 +66,10 @@ def meshes_apart(folder: Path, result: SlamResult, config: MapConfig) -> MapMesh
 
 
 def _paths(result: SlamResult) -> tuple[list[Keyframe], list[FloatArray]]:
-    """Return the keyframes with a place, and (K, 4, 4) where they are along each path."""
+    """Return the keyframes with a place, and (K, 4, 4) where they are along each path, the world.
+
+    Both begin at the same pose: one from elsewhere comes in a frame of its own.
+    """
     odometry = result.odometry
     stamps_s = np.array([each.timestamp_s for each in result.keyframes])
     has_place = np.isfinite(result.T_world_kf[:, 0, 0])
@@ -78,7 +82,9 @@ def _paths(result: SlamResult) -> tuple[list[Keyframe], list[FloatArray]]:
     placed = [
         each for each, is_placed in zip(result.keyframes, has_place, strict=True) if is_placed
     ]
-    return placed, [path[has_place] for path in paths]
+    *before, after = [path[has_place] for path in paths]
+    before = [after[:1] @ se3.inverse(path[:1]) @ path for path in before]
+    return placed, [*before, after]
 
 
 def _asked(told: str, images: Iterator[NDArray[Any]], complaints: IO[bytes]) -> tuple[bytes, int]:

@@ -42,6 +42,7 @@ class StressFolder:
                     f"the folder holds a stress with another {' and '.join(differing)}; choose"
                     f" another with --out: {self._path}"
                 )
+            self._make_trials()  # whoever wants them anew removes the folder
             return
         taken = [each for each in self._ours() if each.exists()]
         if taken:
@@ -49,11 +50,8 @@ class StressFolder:
                 f"the folder holds a {taken[0].name} that is not known to be of a stress; choose"
                 f" another with --out: {self._path}"
             )
-        try:
-            (self._path / _TRIALS).mkdir()
-        except OSError as error:
-            raise SlamError(f"cannot make the folder: {error.strerror}: {self._path}") from error
-        write_atomically(file, json.dumps(asked, indent=2) + "\n")
+        write_atomically(file, json.dumps(asked, indent=2) + "\n")  # first, or it is nobody's
+        self._make_trials()
 
     def keep(self, outcome: Outcome) -> None:
         """Write a trial, whole or not at all.
@@ -83,6 +81,12 @@ class StressFolder:
         """
         for name, content in contents.items():
             write_atomically(self._path / name, content)
+
+    def _make_trials(self) -> None:
+        try:
+            (self._path / _TRIALS).mkdir(exist_ok=True)
+        except OSError as error:
+            raise SlamError(f"cannot make the folder: {error.strerror}: {self._path}") from error
 
     def _trial(self, stressor: str, level: float) -> Path:
         return self._path / _TRIALS / f"{stressor}-{level:g}.json"

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from placerec.errors import LoopcloseError
+from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress
 from placerec.recognizer import load
 from slam.config import Config
 from slam.datasets import Sessions
 from slam.evaluation.drift import trajectory_error
 from slam.evaluation.motion_truth import judge_loops
-from slam.evaluation.stress.false_loops import Places, false_loops
+from slam.evaluation.stress.false_loops import CLUSTERS, SCATTERED, Places, false_loops
 from slam.evaluation.stress.images import IMAGE_STRESS
 from slam.evaluation.stress.odometry_noise import drift
 from slam.output.journal import Journal
@@ -57,6 +57,12 @@ class Bench:
         frames = len(self.clean.measured.journal.frames)
         return self._outcome(CLEAN, 0.0, self.clean.result, frames, ())
 
+    def obstacle(self, stressor: str) -> str | None:
+        """Return why a stressor cannot be tried, None if it can."""
+        if stressor in (SCATTERED, CLUSTERS) and not self._true:
+            return "the clean run verified no loop that a false one could be like"
+        return None
+
     def tried(self, stressor: str, level: float, progress: Progress) -> Outcome:
         """Return what becomes of the run under stress."""
         if stressor in IMAGE_STRESS:
@@ -74,18 +80,17 @@ class Bench:
             given += changed is not None
             return changed
 
+        slam = Slam(self.sessions.camera, load(self.recognizer), self.config)
         try:
-            slam = Slam(self.sessions.camera, load(self.recognizer), self.config)
             track(slam, self.sessions, stressed, progress)
             result = slam.finish()
-        except SlamError as ended:  # nothing could be tracked
+        except (SlamError, RecognizerError) as ended:  # nothing is tracked, or told apart
             unknown = (None, None, None, self.clean.has_truth)
             return Outcome(stressor, level, *unknown, given, 0, 0, 0, 0, (), str(ended))
         return self._outcome(stressor, level, result, given, ())
 
     def _fooled(self, stressor: str, level: float) -> Outcome:
-        true = [each for each in self.clean.attempts if each.rejection is None]
-        T_world_kf = self.clean.result.T_world_kf
+        true, T_world_kf = self._true, self.clean.result.T_world_kf
         places = Places(
             {k: T for k, T in enumerate(T_world_kf) if np.isfinite(T).all()},
             true,
@@ -93,11 +98,15 @@ class Bench:
             self.config.loop.min_gap,
             self.config.evaluation.false_loop_translation_m,
         )
-        wanted = round(len(true) * level / (1.0 - level))
+        wanted = max(1, round(len(true) * level / (1.0 - level)))
         injected = false_loops(places, stressor, wanted, self.random(stressor))
         result = self._decided([*self.clean.attempts, *injected], self.clean.measured.journal)
         pairs = {(each.match_id, each.query_id) for each in injected}
-        return self._outcome(stressor, level, result, self._given, pairs)
+        outcome = self._outcome(stressor, level, result, self._given, pairs)
+        if len(injected) == wanted:
+            return outcome
+        short = f"the map had room for {len(injected)} of {wanted} false loops"
+        return replace(outcome, warnings=(short, *outcome.warnings))
 
     def _drifting(self, level: float) -> Outcome:
         journal = self.clean.measured.journal
@@ -108,6 +117,11 @@ class Bench:
         journal = replace(journal, frames=frames, T_odom_kf=T_odom_kf)
         result = self._decided(self.clean.attempts, journal)
         return self._outcome(ODOMETRY_NOISE, level, result, self._given, ())
+
+    @property
+    def _true(self) -> list[LoopAttempt]:
+        """Loops that geometry verified in the clean run."""
+        return [each for each in self.clean.attempts if each.rejection is None]
 
     @property
     def _given(self) -> int:

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+import shutil
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from placerec.recognizers.gradients import GradientRecognizer
 from slam.__main__ import main
-from slam.output.stress.stressors import STRESSORS
+from slam.output.stress.stressors import STRESSORS, Stressor
 from slam.output.stress.trials import Bench
 
 ASKED = ("--recognizer", "gradients", "--only", "dropped-frames,false-clusters,odometry-noise")
@@ -117,3 +120,61 @@ def test_somebodys_files_are_not_written_over(recording, tmp_path, capsys):
     (tmp_path / "tolerance.csv").write_text("mine")
     assert main(["stress", str(recording), *ASKED, "--out", str(tmp_path)]) == 2
     assert "holds a tolerance.csv" in capsys.readouterr().err
+
+
+def test_trials_that_were_removed_are_made_anew(short_recording, tmp_path):
+    typed = ["stress", str(short_recording(30)), *ASKED[:3], "odometry-noise"]
+    typed += ["--out", str(tmp_path / "out")]
+    assert main(typed) == 0
+    before = (tmp_path / "out" / "tolerance.csv").read_bytes()
+    shutil.rmtree(tmp_path / "out" / "trials")
+    assert main(typed) == 0
+    assert (tmp_path / "out" / "tolerance.csv").read_bytes() == before
+
+
+class Dazzled(GradientRecognizer):
+    """Finds nothing to describe in the dark, as whatever divides by a norm."""
+
+    def embed(self, image):
+        return super().embed(image) * (1.0 if image.mean() > 50.0 else np.nan)
+
+
+def test_a_recognizer_that_fails_under_stress_ends_its_trial_alone(
+    short_recording, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(STRESSORS, "darkness", Stressor((0.6,), "share"))
+    out, recognizer = tmp_path / "out", f"{__name__}:Dazzled"
+    asked = ("--recognizer", recognizer, "--only", "darkness", "--out", str(out))
+    assert main(["stress", str(short_recording(30)), *asked]) == 0
+    (trial,) = trials(out, "darkness")
+    assert "NaN" in trial["ended"] and trial["ate_m"] is None
+
+
+def test_without_a_loop_to_copy_false_ones_are_not_said_to_be_tolerated(
+    short_recording, tmp_path, capsys
+):
+    typed = ["stress", str(short_recording(30)), *ASKED[:2], "--out", str(tmp_path / "out")]
+    assert main([*typed, "--only", "false-loops"]) == 2
+    said = capsys.readouterr().err
+    assert "false-loops is not tried: the clean run verified no loop" in said
+    assert main([*typed, "--only", "false-loops,odometry-noise"]) == 0
+    told = json.loads((tmp_path / "out" / "tolerance.json").read_text())
+    assert list(told["stressors"]) == ["odometry-noise"]
+
+
+def test_trials_of_another_recording_or_version_are_not_mixed_in(
+    short_recording, tmp_path, capsys, monkeypatch
+):
+    recording = short_recording(30)
+    typed = ["stress", str(recording), *ASKED[:2], "--only", "odometry-noise"]
+    typed += ["--out", str(tmp_path / "out")]
+    assert main(typed) == 0
+    monkeypatch.setattr("slam.commands.stress.__version__", "0.0.0")
+    assert main(typed) == 2
+    assert "a stress with another loopclose; choose" in capsys.readouterr().err
+    monkeypatch.undo()
+    for each in ("rgb.txt", "depth.txt"):
+        lines = (recording / each).read_text().splitlines(keepends=True)
+        (recording / each).write_text("".join(lines[:-5]))
+    assert main(typed) == 2
+    assert "a stress with another length; choose" in capsys.readouterr().err

@@ -4,13 +4,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam.config import Config
 from slam.external_odometry.trust import Trust, Verdict
+from slam.geometry import se3
+from slam.loops.atlas import LargestSubmap
+from slam.loops.back_end import BackEnd
 from slam.loops.settled import Settled
-from slam.pose_graph import PoseGraph
+from slam.loops.stage_clock import StageClock
+from slam.pose_graph import GraphSolution, PoseGraph
+from slam.types import Camera, Link, RelativePose
+
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+SIGMAS = np.array([0.001] * 3 + [0.003] * 3)
+STEP = se3.exp(np.array([0.0, 2.0 * np.pi / 200, 0.0, 0.1, 0.0, 0.0]))
 
 
 def graph(*ids):
     return PoseGraph({k: np.eye(4) for k in ids}, (), {})
+
+
+def submap(of, trust=None, loops=()):
+    return LargestSubmap(replace(of, loops=dict.fromkeys(loops)), {}, {}, {}, trust, {})
+
+
+def solution(of, weights=None):
+    return GraphSolution(of.T_world_kf, weights or {})
 
 
 @pytest.fixture(autouse=True)
@@ -18,12 +36,12 @@ def _ten_are_large(monkeypatch):
     monkeypatch.setattr("slam.pose_graph.graph._SMALL", 10)
 
 
-def solved_as_a_whole(graphs, trust=None):
+def solved_as_a_whole(graphs):
     """Return whether each graph, one after the other, is solved as a whole."""
     settled, whole = Settled(), []
     for each in graphs:
         whole.append(not settled.of(each))
-        settled.take(each.T_world_kf, trust)
+        settled.take(submap(each), solution(each), whole[-1])
     return whole
 
 
@@ -41,12 +59,87 @@ def test_another_world_is_solved_as_a_whole():
     assert solved_as_a_whole([one, one, other, other]) == [True, False, True, False]
 
 
-def test_another_verdict_on_an_odometry_from_elsewhere_settles_nothing():
+def test_another_verdict_on_an_odometry_from_elsewhere_contradicts_what_is_settled():
     """What stays was solved with its steps, or without them."""
     believed = Trust(Verdict.BORNE_OUT, np.ones(3), np.ones(3), (), (), 100)
     doubted = replace(believed, verdict=Verdict.CONTRADICTED)
     settled, of = Settled(), graph(*range(20))
-    for trust, is_whole in ((believed, True), (believed, False), (doubted, False), (doubted, True)):
-        assert (not settled.of(of)) == is_whole
-        settled.take(of.T_world_kf, trust)
-    assert settled.of(of)
+    settled.take(submap(of, believed), solution(of), True)
+    assert not settled.is_contradicted(submap(of, believed), solution(of))
+    assert settled.is_contradicted(submap(of, doubted), solution(of))
+    settled.take(submap(of, doubted), solution(of), True)
+    assert settled.is_contradicted(submap(of, believed), solution(of))
+
+
+def test_new_loops_contradict_it_if_most_are_left_out():
+    settled, of = Settled(), graph(*range(20))
+    settled.take(submap(of, loops=(0, 1)), solution(of), True)
+    assert not settled.is_contradicted(submap(of), solution(of, {2: 1.0, 3: 0.0}))
+    assert settled.is_contradicted(submap(of), solution(of, {2: 1.0, 3: 0.0, 4: 0.0}))
+    settled.take(submap(of, loops=(0, 1, 2, 3, 4)), solution(of), False)
+    again = {2: 1.0, 3: 0.0, 4: 0.0}  # which was asked already
+    assert not settled.is_contradicted(submap(of), solution(of, again))
+
+
+class Nobody:
+    min_similarity = 0.5
+
+    def embed(self, image):
+        raise NotImplementedError
+
+
+def test_a_long_way_closes_right_after_the_whole_was_solved():
+    """Too few keyframes see where it began to take up all that the odometry drifted."""
+    rng = np.random.default_rng(0)
+    T_true = [np.linalg.matrix_power(STEP, k) for k in range(212)]
+
+    def measured(a, b):
+        T_a_b = se3.inverse(T_true[a]) @ T_true[b] @ se3.exp(rng.normal(size=6) * SIGMAS)
+        return Link(a, b, RelativePose(T_a_b, np.diag(1.0 / SIGMAS**2)))
+
+    links, T_odom_kf = [measured(k, k + 1) for k in range(211)], [np.eye(4)]
+    for link in links:
+        T_odom_kf.append(T_odom_kf[-1] @ link.motion.T_ref_query)
+    nearby = [measured(k, k + 12) for k in range(0, 180, 20)]
+    loops = dict(enumerate([*nearby, *(measured(k - 200, k) for k in range(200, 212))]))
+    behind = BackEnd(CAMERA, Nobody(), Config(), StageClock())
+    for count in (199, 204):
+        T_kf = dict(enumerate(T_odom_kf[:count]))
+        known = {key: each for key, each in loops.items() if each.query_id < count}
+        of = PoseGraph(T_kf, links[: count - 1], known)
+        largest = LargestSubmap(of, {}, T_kf, dict.fromkeys(T_kf, 0), None, {})
+        behind._correct(count - 1, largest, largest)
+    T_world_cam = behind.corrections[-1].T_world_odom[0] @ T_odom_kf[203]
+    off_m = np.linalg.norm((T_odom_kf[203] - T_true[203])[:3, 3])
+    assert np.linalg.norm((T_world_cam - T_true[203])[:3, 3]) < 0.1 * off_m
+
+
+def test_a_part_leaves_a_wrong_place_once_most_loops_are_elsewhere(monkeypatch):
+    """Two loops that agree had joined it there; where all begins there, true ones do not fit."""
+    monkeypatch.setattr("slam.pose_graph.motion_system._MOST_FROM_NOTHING", 10)
+    rng, cut, per_round = np.random.default_rng(0), 80, 40
+    step = se3.exp(np.array([0.0, 2.0 * np.pi / per_round, 0.0, 0.5, 0.0, 0.0]))
+    T_true = [np.linalg.matrix_power(step, k) for k in range(126)]
+    aside = se3.exp(np.array([0.0, 0.6, 0.0, 2.0, 0.0, 0.0]))
+    sigmas = np.array([0.003] * 3 + [0.01] * 3)
+
+    def measured(a, b, T_off):
+        noise = se3.exp(rng.normal(size=6) * sigmas)
+        T_a_b = se3.inverse(T_true[a]) @ T_off @ T_true[b] @ noise
+        return Link(a, b, RelativePose(T_a_b, np.diag(1.0 / sigmas**2)))
+
+    links = [measured(k, k + 1, np.eye(4)) for k in range(125)]
+    false = [measured(10, cut + 2, aside), measured(14, cut + 6, aside)]
+    true = [measured(k % per_round, k, np.eye(4)) for k in range(cut + 20, 126)]
+    behind = BackEnd(CAMERA, Nobody(), Config(), StageClock())
+    for count, T_join in ((101, aside), (126, np.eye(4))):
+        T_kf = {k: T if k < cut else T_join @ T for k, T in enumerate(T_true[:count])}
+        join = se3.inverse(T_kf[cut - 1]) @ T_kf[cut]
+        here = [each for each in links[: count - 1] if each.query_id != cut]
+        here.insert(cut - 1, Link(cut - 1, cut, RelativePose(join, np.eye(6))))
+        loops = {k: each for k, each in enumerate([*false, *true]) if each.query_id < count}
+        of, segments = PoseGraph(T_kf, here, loops), {k: int(k >= cut) for k in T_kf}
+        largest = LargestSubmap(of, {}, dict(enumerate(T_true[:count])), segments, None, {})
+        behind._correct(count - 1, largest, largest)
+    off = behind.corrections[-1].T_world_odom[1] @ T_true[125] - T_true[125]
+    assert np.linalg.norm(off[:3, 3]) < 0.2

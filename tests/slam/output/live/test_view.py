@@ -161,6 +161,27 @@ def test_a_file_that_no_viewer_would_open_is_refused(capsys, tmp_path):
 
 
 @needs_rerun
+def test_a_folder_for_a_file_is_refused_at_once(tmp_path, capsys):
+    (tmp_path / "a.rrd").mkdir()
+    line = refused(["demo", "--rrd", str(tmp_path / "a.rrd"), "--out", str(tmp_path / "o")], capsys)
+    assert "this is a folder" in line
+
+
+@needs_rerun
+def test_what_a_killed_run_left_is_there_still_if_the_file_cannot_be_kept(
+    recording, tmp_path, capsys
+):
+    (tmp_path / "file").touch()
+    left = tmp_path / "out" / "unfinished"
+    left.mkdir(parents=True)
+    (left / "journal.jsonl").write_text("mine")
+    typed = [str(recording), "--rrd", str(tmp_path / "file" / "a.rrd"), *QUICK]
+    assert main([*typed, "--out", str(tmp_path / "out")]) == 2
+    assert "cannot write what --rrd keeps" in capsys.readouterr().err
+    assert (left / "journal.jsonl").read_text() == "mine"
+
+
+@needs_rerun
 def test_a_file_where_none_can_be_is_refused(slam, sequence, tmp_path):
     (tmp_path / "file").touch()
     shown = LiveView(slam, sequence.camera, viewer=False, rrd=tmp_path / "file" / "a.rrd")

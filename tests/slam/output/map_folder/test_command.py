@@ -104,6 +104,8 @@ def test_a_killed_run_on_a_map_says_how_to_do_it_again(place, tmp_path, monkeypa
             run(place, "--load", place / "map", out=tmp_path / "run")
     assert (tmp_path / "run" / claimed_folder.UNFINISHED / claimed_folder.JOURNAL).exists()
     capsys.readouterr()
+    assert main([str(tmp_path / "run"), "--finish", "--save", str(tmp_path / "map")]) == 2
+    assert "--save and --load need the images of a run" in capsys.readouterr().err
     assert main([str(tmp_path / "run"), "--finish"]) == 2
     assert "a killed run on a map cannot be finished; do again: run_slam" in capsys.readouterr().err
 

@@ -16,7 +16,7 @@ from slam.geometry import se3
 from slam.geometry.features import undistort
 from slam.output.mesh import before_and_after, separate_process
 from slam.output.mesh.separate_process import MESHES, meshes_apart, straight_pixels
-from slam.result import SlamResult
+from slam.result import MapMesh, MapMeshes, SlamResult
 from slam.tracking.tracked_frame import preview
 from slam.types import (
     Camera,
@@ -200,3 +200,21 @@ def test_keyframes_without_a_place_are_left_out(here, tmp_path):
     T_world_kf[:] = np.nan
     with pytest.raises(SlamError, match="no keyframe is on both paths"):
         meshes_apart(tmp_path, replace(run, T_world_kf=T_world_kf), VOXELS)
+
+
+def test_an_odometry_in_a_frame_of_its_own_is_shown_as_any_other(here, made, tmp_path):
+    run = looking_at_a_wall()
+    T_map_world = se3.exp(np.array([np.pi / 2.0, 0.0, 0.3, 5.0, 0.0, 1.0]))
+    elsewhere = replace(run.odometry, T_world_cam=T_map_world @ run.odometry.T_world_cam)
+    before = meshes_apart(tmp_path, replace(run, odometry=elsewhere), VOXELS).before
+    off = np.abs(before.overview.astype(int) - made[1].before.overview)
+    assert off.mean() < 1.0
+
+
+@pytest.mark.parametrize("has_before", [True, False])
+def test_where_sharpness_is_not_known_no_number_is_said(has_before):
+    picture = np.zeros((1, 1, 3), np.uint8)
+    unknown = MapMesh(np.nan, np.nan, picture, picture)
+    meshes = MapMeshes(unknown if has_before else None, unknown, 0)
+    assert meshes.explanation == "too few points lie together to tell how sharp it is"
+    assert meshes.warnings == ()
