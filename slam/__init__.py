@@ -16,9 +16,13 @@ if TYPE_CHECKING:
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
     from slam.loops.correction import Correction as Correction
+    from slam.loops.submaps import SavedMap as SavedMap
     from slam.output.ledger import LoopRecord as LoopRecord
     from slam.output.ledger import read_ledger as read_ledger
     from slam.output.live.view import LiveView as LiveView
+    from slam.output.map_folder.folder import load_map as load_map
+    from slam.output.map_folder.folder import save_map as save_map
+    from slam.output.map_folder.folder import saved_map as saved_map
     from slam.output.run_folder import write_run as write_run
     from slam.pose_graph.from_g2o import solve_g2o as solve_g2o
     from slam.result import SlamResult as SlamResult
@@ -45,15 +49,19 @@ _HOME = {
     "LoopRecord": "slam.output.ledger",
     "LoopcloseError": "placerec.errors",
     "Rejection": "slam.types",
+    "SavedMap": "slam.loops.submaps",
     "Slam": "slam.system",
     "SlamError": "slam.types",
     "SlamResult": "slam.result",
     "TrackedFrame": "slam.tracking.tracked_frame",
     "Trajectory": "slam.types",
     "compare_drift": "slam.evaluation.drift",
+    "load_map": "slam.output.map_folder.folder",
     "open_sequence": "slam.datasets",
     "read_ledger": "slam.output.ledger",
     "read_tum": "slam.evaluation.trajectory",
+    "save_map": "slam.output.map_folder.folder",
+    "saved_map": "slam.output.map_folder.folder",
     "solve_g2o": "slam.pose_graph.from_g2o",
     "write_run": "slam.output.run_folder",
 }

@@ -20,13 +20,11 @@ from placerec.commands.console import answer, note, say
 from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
-from slam.commands.opening import DEFAULT_RECOGNIZER, opened
+from slam.commands.opening import DEFAULT_RECOGNIZER, given_poses, opened
 from slam.config import Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
-    from slam.datasets import Sessions
-    from slam.datasets.pose_files import PoseFile
     from slam.output.ending import Ended
 
 _COMPILING = "compiling the inner loops for this machine, which takes some seconds, once"
@@ -39,8 +37,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   runs side by side: run_slam compare --help
-  run_slam replay runs/a    decide again; others: run_slam more-loops, stress
+  run_slam compare runs/a runs/b   see also run_slam replay, more-loops, stress
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -77,6 +74,12 @@ class Arguments:
     """Installed name, module:Class, or file. A file is FILE.safetensors or FILE.onnx."""
     map: Annotated[Literal["points", "mesh", "none"] | None, tyro.conf.arg(metavar="KIND")] = None
     """Map to write, points, mesh (points, too) or none; default: as the settings say, points."""
+    save: Annotated[Path | None, tyro.conf.arg(metavar="MAP")] = None
+    """Folder to save the map in, for later runs."""
+    load: Annotated[Path | None, tyro.conf.arg(metavar="MAP")] = None
+    """Map of earlier runs to go on from."""
+    localise_only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Place the camera in the map of --load. That stays as it is."""
     finish: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """SEQUENCE is the folder of a killed run: finish it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
@@ -103,7 +106,10 @@ class Arguments:
     def command(self) -> list[str]:
         """What was typed, but for the settings and the folder."""
         odometry = [] if self.odometry is None else ["--odometry", str(self.odometry)]
-        return ["run_slam", *self.sequences, "--recognizer", self.recognizer, *odometry]
+        earlier = [] if self.load is None else ["--load", str(self.load)]
+        fixed = ["--localise-only"] if self.localise_only else []
+        named = ["--recognizer", self.recognizer]
+        return ["run_slam", *self.sequences, *named, *odometry, *earlier, *fixed]
 
 
 def parse(arguments: list[str]) -> Arguments:
@@ -173,9 +179,11 @@ def _run(arguments: Arguments) -> None:
     from slam.output.ending import Run, conclude, reason_of
     from slam.output.journal import Header, JournalWriter
     from slam.output.live.view import LiveView, check_live
+    from slam.output.map_folder.folder import check_place, load_map
     from slam.output.run_folder import begin_outputs
     from slam.system import Slam
 
+    _refuse_together(arguments)
     is_shown = arguments.live or arguments.rrd is not None
     if is_shown:
         check_live(arguments.rrd)
@@ -184,15 +192,21 @@ def _run(arguments: Arguments) -> None:
     folder = arguments.out or Path("runs") / arguments.title
     with ClaimedFolder(folder) as claimed:
         recognizer = load(arguments.recognizer)
+        if arguments.save is not None:
+            check_place(arguments.save, recognizer)
         sessions = Sessions(
             [opened(each, arguments.settings.input, folder) for each in arguments.sequences]
         )
-        poses, settings = _read_odometry(arguments, sessions)
+        poses, settings = given_poses(arguments.odometry, sessions, arguments.settings)
+        earlier = load_map(arguments.load, recognizer, settings) if arguments.load else None
         claimed.refuse_foreign(OUTPUTS)
         # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
         gc.collect()
         gc.freeze()
-        slam = Slam(sessions.camera, recognizer, settings, claimed.unfinished)
+        slam = Slam(
+            *(sessions.camera, recognizer, settings, claimed.unfinished),
+            *(earlier, arguments.localise_only),
+        )
         header = Header(
             arguments.title,
             shlex.join(arguments.command),
@@ -201,9 +215,14 @@ def _run(arguments: Arguments) -> None:
             None if arguments.odometry is None else str(arguments.odometry.resolve()),
             sessions.warnings,
             slam.certificate,
+            None if arguments.load is None else str(arguments.load),
         )
         truth = sessions.ground_truth
-        run = Run(claimed, header, settings, truth, poses, lambda: sessions.warnings)
+        run = Run(
+            *(claimed, header, settings, truth, poses, lambda: sessions.warnings),
+            keeps=earlier is None,
+            save=arguments.save,
+        )
         feed = PoseFeed(slam, poses.trajectory if poses else None)
         view = LiveView(slam, sessions.camera, arguments.live, arguments.rrd) if is_shown else None
         # A view that cannot be kept is told before what a killed run left here goes.
@@ -228,8 +247,8 @@ def _finish(arguments: Arguments) -> None:
     from slam.evaluation.trajectory import read_tum
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.finishing import poses_again, replayed
     from slam.output.journal import read_journal
+    from slam.output.replay.finishing import poses_again, replayed
 
     if arguments.live or arguments.rrd or arguments.map == "mesh":
         raise SlamError("--live, --rrd and --map mesh show images, and a killed run has none")
@@ -239,6 +258,8 @@ def _finish(arguments: Arguments) -> None:
             return
         journal = read_journal(claimed.unfinished)
         header = journal.header
+        if header.earlier:
+            raise SlamError(f"a killed run on a map cannot be finished; do again: {header.command}")
         settings = load_config(claimed.unfinished / "settings.toml")
         truth_file = claimed.unfinished / "groundtruth.txt"
         truth = read_tum(truth_file) if truth_file.exists() else None
@@ -279,20 +300,12 @@ def _tell(ended: "Ended") -> None:
         raise SlamError("; ".join(problems))
 
 
-def _read_odometry(arguments: Arguments, sessions: "Sessions") -> tuple["PoseFile | None", Config]:
-    """Read the poses to be corrected, and where on their body the camera is if they tell."""
-    from slam.datasets.pose_files import read_odometry
-
-    settings = arguments.settings
-    if arguments.odometry is None:
-        return None, settings
-    poses = read_odometry(arguments.odometry, sessions.timestamps_s, settings.input)
-    for warning in poses.warnings:
-        _log.warning("%s", warning)
-    if poses.T_base_cam is not None and settings.odometry.T_base_cam is None:
-        odometry = settings.odometry.model_copy(update={"T_base_cam": poses.T_base_cam})
-        settings = settings.model_copy(update={"odometry": odometry})
-    return poses, settings
+def _refuse_together(arguments: Arguments) -> None:
+    """Refuse what makes no sense together."""
+    if arguments.localise_only and (arguments.load is None or arguments.save is not None):
+        raise SlamError("--localise-only needs the map to --load, and leaves nothing to --save")
+    if arguments.load is not None and arguments.odometry is not None:
+        raise SlamError("--load is for the camera alone, without --odometry")
 
 
 if __name__ == "__main__":

@@ -220,7 +220,7 @@ class SlamResult:
 
     Attributes:
         camera: the camera it was run with.
-        keyframes: the K keyframes in order of time.
+        keyframes: the K keyframes in order of time, after those of an earlier map.
         T_world_kf: (K, 4, 4) corrected, the first one placed is the world; NaN where not joined.
             Not smoothed, whatever the trajectories are.
         odometry: every placed frame, as it was tracked (drifting); one motion joins two segments.
@@ -252,6 +252,7 @@ class SlamResult:
             stands for them says nothing: NaN similarities, poses that were not adjusted.
         meshes: the map as surfaces, None where they were not asked for or could not be made.
         more_loops: what there was before loops were looked for again, None where they were not.
+        earlier: how many of the keyframes are of an earlier map, whose frames are not in this.
     """
 
     camera: Camera
@@ -278,6 +279,7 @@ class SlamResult:
     threshold: ThresholdFit | None = None
     meshes: MapMeshes | None = None
     more_loops: MoreLoops | None = None
+    earlier: int = 0
 
     @property
     def corrected(self) -> Trajectory:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
 from slam.loops.remembered import Remembered
 from slam.loops.stage_clock import StageClock
+from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult, compared
@@ -57,11 +59,18 @@ class Slam:
         recognizer: PlaceRecognizer,
         config: Config | None = None,
         scratch: Path | None = None,
+        earlier: SavedMap | None = None,
+        is_fixed: bool = False,
     ) -> None:
         """Begin, with the default settings unless told.
 
         What does not fit into memory goes to a file without a name in the folder `scratch`, by
-        default the system's for temporary files.
+        default the system's for temporary files. An earlier map is gone on from, and taken over:
+        load it anew for another run. Its frame is the world. A fixed one is not extended: the
+        camera is placed where it shows what the camera sees, and nowhere else.
+
+        Raises:
+            SlamError: the earlier map is of another camera.
         """
         load_compiled()
         self._camera = camera
@@ -70,10 +79,17 @@ class Slam:
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
         self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize, scratch)
         self._external = ExternalOdometry(self._config.odometry)
-        self._frames = FrameLog()
+        self._frames = FrameLog(len(earlier.keyframes) - 1 if earlier else -1)
+        self.earlier = earlier
+        self._is_fixed = is_fixed
+        if earlier is not None:
+            _check_camera(camera, earlier)
+            self._back_end.load(earlier)
+            self._odometry.load(earlier.keyframes, earlier.the_map, is_fixed)
         self._last_s = -np.inf  # of the last frame
         self._is_new_session = False
         self._session_starts_s: list[float] = []
+        self._final: LandmarkMap | None = None  # as adjusted in the end
         # Where another odometry's frame is in that of tracking, by the last frame that had a pose;
         # and the map, which lies where it had the first one.
         self._T_odom_given: FloatArray | None = None
@@ -92,7 +108,11 @@ class Slam:
     @property
     def has_keyframes(self) -> bool:
         """Whether there is anything to finish."""
-        return not self._back_end.is_empty
+        return not self._back_end.is_empty and (self.earlier is None or self._is_anything_placed)
+
+    @property
+    def _is_anything_placed(self) -> bool:
+        return self._frames.segment is not None
 
     def process(
         self,
@@ -124,7 +144,12 @@ class Slam:
         Raises:
             SlamError: the pose is not a rigid transform, or its time is not after the last one's.
         """
+        self._refuse_poses()
         self._external.add(timestamp_s, T_odom_cam, covariance)
+
+    def _refuse_poses(self) -> None:
+        if self.earlier:
+            raise SlamError("poses of another odometry cannot be used together with an earlier map")
 
     @property
     def time_offset_s(self) -> float:
@@ -162,6 +187,8 @@ class Slam:
         is_keyframe: bool,
     ) -> TrackedFrame | Rejection:
         check_frame(frame, self._camera, self._last_s)
+        if T_odom_cam is not None:
+            self._refuse_poses()
         if T_odom_cam is None:
             T_given_cam = self._external.at(frame.timestamp_s)
         else:
@@ -267,6 +294,10 @@ class Slam:
             first = len(self._back_end.keyframes)
             left_out = (f"all from keyframe {first} on is left out: {cause_of(error)}",)
         keyframes = tuple(self._back_end.keyframes)
+        if self.earlier and not self._is_anything_placed:
+            raise SlamError(
+                "no frame could be placed: none shows enough of the map, or of anything else"
+            )
         if not keyframes:
             raise SlamError(
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
@@ -282,7 +313,7 @@ class Slam:
             )
         loops = salvage.attempt(
             "the solved pose graph",
-            lambda: self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given),
+            lambda: self._solved(T_odom_kf, given),
             None,
         ) or self._back_end.unsolved(T_odom_kf)
         keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
@@ -298,6 +329,11 @@ class Slam:
         if loops.trust and loops.trust.verdict is Verdict.BORNE_OUT:
             frames = frames.along(self._external.camera_poses, stamps_s, loops.trust.doubted)
         trajectory = frames.trajectory(T_world_kf)
+        if self.earlier and not len(trajectory):
+            raise SlamError(
+                "no frame could be placed in the map: no loops at two places agree where what was"
+                " tracked belongs"
+            )
         odometry = self._frames.live(
             T_world_kf, lambda frames: _in_one_frame(frames, T_odom_segment)
         )
@@ -360,7 +396,20 @@ class Slam:
             given=result_of_given,
             missing=salvage.sentences,
             threshold=threshold,
+            earlier=len(self.earlier.keyframes) if self.earlier else 0,
         )
+
+    def _solved(
+        self, T_odom_kf: Mapping[int, FloatArray], given: Mapping[int, GivenKeyframe] | None
+    ) -> ClosedLoops:
+        if self._is_fixed:  # as it was saved
+            return self._back_end.unsolved(T_odom_kf)
+        return self._back_end.solve(T_odom_kf, self._per_keyframe(), given)
+
+    def _per_keyframe(self) -> Counter[int]:
+        """Return how many frames were placed against each keyframe id, of an earlier map, too."""
+        earlier = self.earlier.frames.tolist() if self.earlier else []
+        return Counter(dict(enumerate(earlier))) + self._frames.per_keyframe()
 
     def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
         """Return where tracking has keyframes in the end, (4, 4) by id."""
@@ -385,15 +434,40 @@ class Slam:
         """What deciding about loops again takes, once the run is finished; None of too many."""
         return self._back_end.loop_closer.remembered(self._map)
 
+    def saved(self, result: SlamResult) -> SavedMap:
+        """Return the map of a finished run for later ones: the keyframes that have a place.
+
+        Raises:
+            RecognizerError: the recognizer has neither a fingerprint nor a source file.
+        """
+        if self.earlier and self._is_fixed:
+            return self.earlier
+        earlier = self.earlier.sessions if self.earlier else np.zeros(0, np.int64)
+        stamps_s = [each.timestamp_s for each in result.keyframes[len(earlier) :]]
+        later = np.searchsorted(self._session_starts_s, stamps_s, side="right")
+        later += 1 + earlier.max(initial=-1)
+        return self._back_end.saved(
+            result.T_world_kf,
+            result.attempts,
+            result.links,
+            np.concatenate([earlier, later]),
+            self._per_keyframe(),
+            self._final or self._map,
+        )
+
     def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
         """Return the (K, 4, 4) poses by the adjusted map, with loops and without, and warnings.
 
         Where the map is too large, which is told, they are those of the pose graph.
         """
+        self._final = None
+        if self._is_fixed:
+            return loops.T_world_kf, loops.T_world_kf_without, ()
         if warnings := size_warning(len(loops.T_world_kf)):
             return loops.T_world_kf, loops.T_world_kf_without, warnings
         with self.clock.stage("adjust"):
-            return *adjusted(self._map, loops), ()
+            *T_kf, self._final = adjusted(self._map, loops)
+            return T_kf[0], T_kf[1], ()
 
     def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
         closer = self._back_end.loop_closer
@@ -440,6 +514,16 @@ class Slam:
         if not self._is_smoothed:
             return trajectory
         return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
+
+
+def _check_camera(camera: Camera, earlier: SavedMap) -> None:
+    one, other = vars(camera), vars(earlier.camera)
+    differing = [name for name in one if one[name] != other[name]]
+    if differing:
+        told = ", ".join(f"{name} {other[name]}, not {one[name]}" for name in differing)
+        raise SlamError(
+            f"the map is of another camera, with {told}; give that with --input.camera FILE.toml"
+        )
 
 
 def _in_one_frame(frames: LoggedFrames, T_any_odom: Mapping[int, FloatArray]) -> FloatArray:

@@ -4,7 +4,7 @@
 import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +17,8 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.fuzz.containers import archive_of, bag_of, caffemodel_of, exr_of
-from placerec.certificate import read_certificate
+from benchmarks.large_maps.saved_maps import made_up
+from placerec.certificate import fingerprint, read_certificate
 from placerec.datasets import open_dataset
 from placerec.datasets.images import BrokenImage, find_fault, read_image
 from placerec.errors import LoopcloseError
@@ -26,6 +27,7 @@ from placerec.networks.pretrained import read_weights
 from placerec.networks.weights_file import load_weights, save_weights
 from placerec.recognizer import load
 from placerec.recognizers.fitted_file import shipped
+from placerec.recognizers.gradients import GradientRecognizer
 from placerec.training.checkpoint import read_checkpoint
 from placerec.training.log import read_log
 from slam.config import Config, InputConfig, load_config, to_toml
@@ -37,7 +39,8 @@ from slam.datasets.pose_files import read_odometry, read_trajectory
 from slam.output.comparison.runs import read_runs
 from slam.output.journal import Header, Journal
 from slam.output.ledger import read_ledger
-from slam.output.measurements import (
+from slam.output.map_folder.folder import load_map, save_map
+from slam.output.replay.measurements import (
     MEASUREMENTS,
     Measurements,
     read_measurements,
@@ -255,6 +258,14 @@ def _measurements() -> Files:
         return {MEASUREMENTS: path.read_bytes()}
 
 
+def _map() -> Files:
+    with TemporaryDirectory() as folder:
+        made = replace(made_up(2, seed=0), fingerprint=fingerprint(GradientRecognizer()))
+        save_map(Path(folder), made)
+        files = (each for each in Path(folder).rglob("*") if each.is_file())
+        return {each.relative_to(folder).as_posix(): each.read_bytes() for each in files}
+
+
 def _ledger() -> Files:
     motion = {"translation_m": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
     counts = {"version": 1, "query_id": 9, "match_id": 1, "matches": 50, "inliers": 40}
@@ -439,6 +450,7 @@ _TEXTS = [
         lambda folder: read_measurements(folder / MEASUREMENTS, Config()),
         False,
     ),
+    Reader("map", "manifest.json", _map, lambda folder: load_map(folder, GradientRecognizer())),
     Reader("ledger", "loops.jsonl", _ledger, lambda folder: read_ledger(folder / "loops.jsonl")),
     _of_file(
         "training-log",

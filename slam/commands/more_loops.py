@@ -10,7 +10,7 @@ from slam.config import Config
 
 if TYPE_CHECKING:
     from slam.datasets.pose_files import PoseFile
-    from slam.output.measurements import Measurements
+    from slam.output.replay.measurements import Measurements
     from slam.system import Slam
 
 _DESCRIPTION = """Look for loops that a run did not try, now that its map is solved.
@@ -33,7 +33,7 @@ def main(typed: list[str]) -> int:
 
 
 def _searched(measured: "Measurements", settings: Config, poses: "PoseFile | None") -> "Slam":
-    from slam.output.finishing import SearchingSlam, fed
+    from slam.output.replay.finishing import SearchingSlam, fed
 
     assert measured.remembered is not None  # or it was refused
     shown = partial(progress_bar, "looking again", unit="pair")

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a sequence that was named is opened: rendered, found, or fetched."""
+"""How what was named is opened: a sequence rendered, found, or fetched, and poses read."""
 
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placerec.commands.console import note, progress_bar
-from slam.config import InputConfig
+from slam.config import Config, InputConfig
 
 if TYPE_CHECKING:
-    from slam.datasets import Sequence
+    from slam.datasets import Sequence, Sessions
+    from slam.datasets.pose_files import PoseFile
 
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
@@ -37,3 +38,24 @@ def opened(name: str, config: InputConfig, folder: Path) -> "Sequence":
     for warning in sequence.warnings:  # now, for they may tell why the run fails
         _log.warning("%s", warning)
     return sequence
+
+
+def given_poses(
+    file: Path | None, sessions: "Sessions", settings: Config
+) -> tuple["PoseFile | None", Config]:
+    """Return the poses to be corrected, and where on their body the camera is if they tell.
+
+    Raises:
+        LoopcloseError: the file cannot be read.
+    """
+    from slam.datasets.pose_files import read_odometry
+
+    if file is None:
+        return None, settings
+    poses = read_odometry(file, sessions.timestamps_s, settings.input)
+    for warning in poses.warnings:
+        _log.warning("%s", warning)
+    if poses.T_base_cam is not None and settings.odometry.T_base_cam is None:
+        odometry = settings.odometry.model_copy(update={"T_base_cam": poses.T_base_cam})
+        settings = settings.model_copy(update={"odometry": odometry})
+    return poses, settings

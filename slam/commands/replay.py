@@ -18,7 +18,7 @@ from slam.types import SlamError
 if TYPE_CHECKING:
     from slam.datasets.pose_files import PoseFile
     from slam.output.claimed_folder import ClaimedFolder
-    from slam.output.measurements import Measurements
+    from slam.output.replay.measurements import Measurements
     from slam.system import Slam
 
 _WITH_FEATURES = ("loop", "verification", "graph", "motion", "evaluation")
@@ -90,7 +90,7 @@ def decide_again(typed: list[str], again: Again) -> int:
     """
     arguments = parse(typed, again)
     from slam.geometry.features import search_images_on_one_thread
-    from slam.output.measurements import MEASUREMENTS, read_measurements
+    from slam.output.replay.measurements import MEASUREMENTS, read_measurements
 
     search_images_on_one_thread()
     run = arguments.run
@@ -111,7 +111,7 @@ def decide_again(typed: list[str], again: Again) -> int:
 
 
 def _replayed(measured: "Measurements", settings: Config, poses: "PoseFile | None") -> "Slam":
-    from slam.output.finishing import replayed
+    from slam.output.replay.finishing import replayed
 
     return replayed(measured.journal, settings, poses, measured.remembered)
 
@@ -163,7 +163,7 @@ def _decide(arguments: Arguments, measured: "Measurements", again: Again) -> Non
 
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.finishing import poses_again
+    from slam.output.replay.finishing import poses_again
     from slam.output.run_folder import begin_outputs
 
     run, journal, settings = arguments.run, measured.journal, arguments.settings

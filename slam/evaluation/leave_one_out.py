@@ -17,6 +17,7 @@ def helped_m(result: SlamResult, truth: Trajectory, max_time_difference_s: float
     helped = np.full(len(result.attempts), np.nan)
     stamps_s = np.array([each.timestamp_s for each in result.keyframes])
     placed = np.flatnonzero(np.isfinite(result.T_world_kf[:, 0, 0]))
+    placed = placed[placed >= result.earlier]  # of those the truth of this run is
     estimate = Trajectory(stamps_s[placed], result.T_world_kf[placed])
     in_estimate, in_truth = associate(estimate, truth, max_time_difference_s)
     if len(in_estimate) < MIN_ALIGNED:

@@ -38,7 +38,7 @@ class KeyframeMemory:
         per metre, `depth_scale`, takes least.
         """
         self._left = most_bytes
-        self._depth_scale = np.float32(depth_scale)
+        self._depth_scale = depth_scale
         self._folder = folder
         self._file: _NamelessFile | None = None
         self._read_features = lru_cache(_READ_LAST)(_features)
@@ -49,12 +49,12 @@ class KeyframeMemory:
         Raises:
             SlamError: the file cannot be written; what was kept before can still be read.
         """
-        contents = self._color(frame.rgb), self._depth(frame.depth_m)
+        contents = compressed(frame, self._depth_scale)
         if self._has_room(sum(map(len, contents))):
-            return _KeptFrame(
-                frame, self._depth_scale, *(partial(_same, each) for each in contents)
-            )
-        return _KeptFrame(frame, self._depth_scale, *map(self._in_file, contents))
+            reads: list[Callable[[], bytes]] = [partial(_same, each) for each in contents]
+        else:
+            reads = [self._in_file(each) for each in contents]
+        return _KeptFrame(frame.timestamp_s, frame.depth_m.shape, self._depth_scale, *reads)
 
     def keep_features(self, features: Features) -> Features:
         """Return the features again, with arrays that may be read anew when they are asked for.
@@ -87,16 +87,33 @@ class KeyframeMemory:
                 f" {self._folder or tempfile.gettempdir()}"
             ) from error
 
-    def _color(self, rgb: NDArray[np.uint8]) -> bytes:
-        bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
-        return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
-    def _depth(self, depth_m: NDArray[np.float32]) -> bytes:
-        """Return depth in whole units where it was measured in these, else as it is."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            units = np.rint(depth_m * self._depth_scale).astype(np.uint16)
-        is_whole = np.array_equal(units / self._depth_scale, depth_m)
-        return zlib.compress((units if is_whole else depth_m).tobytes(), _ZLIB_LEVEL)
+def compressed(frame: Frame, depth_scale: float) -> tuple[bytes, bytes]:
+    """Return what a small frame is kept as: a JPEG of its colour, and its depth, deflated.
+
+    Depth is (H, W) uint16 in whole units where it was measured in these, else float32 metres.
+    """
+    if isinstance(frame, _KeptFrame):
+        return frame.contents
+    bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
+    color = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+    scale = np.float32(depth_scale)
+    with np.errstate(invalid="ignore", over="ignore"):
+        units = np.rint(frame.depth_m * scale).astype(np.uint16)
+    is_whole = np.array_equal(units / scale, frame.depth_m)
+    depth = zlib.compress((units if is_whole else frame.depth_m).tobytes(), _ZLIB_LEVEL)
+    return color, depth
+
+
+def kept_frame(
+    timestamp_s: float,
+    shape: tuple[int, int],
+    depth_scale: float,
+    color: NDArray[np.uint8],
+    depth: NDArray[np.uint8],
+) -> Frame:
+    """Return the frame of (H, W) pixels whose `compressed` bytes are given, wherever they lie."""
+    return _KeptFrame(timestamp_s, shape, depth_scale, color.tobytes, depth.tobytes)
 
 
 class _KeptFrame(Frame):
@@ -104,15 +121,21 @@ class _KeptFrame(Frame):
 
     def __init__(
         self,
-        frame: Frame,
-        depth_scale: np.float32,
+        timestamp_s: float,
+        shape: tuple[int, ...],
+        depth_scale: float,
         read_color: Callable[[], bytes],
         read_depth: Callable[[], bytes],
     ) -> None:
-        object.__setattr__(self, "timestamp_s", frame.timestamp_s)
-        self._shape = frame.depth_m.shape
-        self._depth_scale = depth_scale
+        object.__setattr__(self, "timestamp_s", timestamp_s)
+        self._shape = shape
+        self._depth_scale = np.float32(depth_scale)
         self._read_color, self._read_depth = read_color, read_depth
+
+    @property
+    def contents(self) -> tuple[bytes, bytes]:
+        """What it is kept as, see `compressed`."""
+        return self._read_color(), self._read_depth()
 
     @property
     def rgb(self) -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Trust, Verdict, judge
 from slam.geometry import se3
 from slam.loops.correction import Correction
-from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
+from slam.loops.submaps import Loop, SavedMap, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
 
@@ -73,6 +73,16 @@ class Atlas:
         self._loops: dict[int, Loop] = {}
         self._given: dict[int, GivenKeyframe] = {}
         self.loops: Counter[int] = Counter()
+        self._home = -1  # a keyframe of the earlier map that this one goes on from, if any
+
+    def load(self, saved: SavedMap) -> None:
+        """Begin with an earlier map, which is the world however much is added; loops by number."""
+        self._keyframes = list(saved.keyframes)
+        self._T_odom_kf = [each.T_odom_cam for each in saved.keyframes]
+        self._links = list(saved.links)
+        self._loops = dict(enumerate(saved.loops))
+        self.loops.update(saved.keyframes[each.query_id].segment for each in saved.loops)
+        self._home = saved.keyframes[0].id
 
     def add(
         self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]
@@ -92,6 +102,10 @@ class Atlas:
                 self._loops[key] = loop
                 self.loops[self._keyframes[attempt.query_id].segment] += 1
 
+    def loop(self, key: int) -> Loop:
+        """Return a loop by its key."""
+        return self._loops[key]
+
     def give(self, given: Mapping[int, GivenKeyframe]) -> None:
         """Take where an odometry from elsewhere has keyframes, by id."""
         self._given.update(given)
@@ -110,12 +124,13 @@ class Atlas:
     ) -> LargestSubmap:
         """Return the submap with the most frames per keyframe id, the earlier of equals.
 
-        Default: one frame of each. An odometry from elsewhere may be left out.
+        Default: one frame of each. An earlier map is it, however small. An odometry from elsewhere
+        may be left out.
         """
         trust = self._trust() if with_given else None
         steps = trust.steps if trust else ()
         submaps = self._submaps(steps)
-        largest = max(submaps, key=lambda submap: submap.size(frames))
+        largest = max(submaps, key=lambda each: (self._home in each.T_submap_kf, each.size(frames)))
         T_world_submap = se3.inverse(largest.T_submap_kf[largest.first])
         loops = {
             key: loop

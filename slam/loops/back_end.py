@@ -26,10 +26,14 @@ from slam.loops.loop_closure import LoopCloser
 from slam.loops.outcomes import in_the_end, refusals
 from slam.loops.settled import Settled
 from slam.loops.stage_clock import StageClock
+from slam.loops.submaps import SavedMap
+from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.stored_map import part_of_map
 from slam.pose_graph import GraphSolution, PoseGraph, leave_one_out, solve_beside
 from slam.types import (
     Camera,
     FloatArray,
+    IntArray,
     Keyframe,
     Link,
     LoopAttempt,
@@ -99,6 +103,16 @@ class BackEnd:
         self.keyframes: list[Keyframe] = []
         self._evidence = Evidence()
         self.corrections = [Correction(0, -1, {}, {})]
+
+    def load(self, saved: SavedMap) -> None:
+        """Begin with an earlier map, as if its keyframes had been taken in, where it has them."""
+        self.loop_closer.load(saved)
+        self._atlas.load(saved)
+        self.keyframes = list(saved.keyframes)
+        self.attempts = list(saved.attempts)
+        T_world_kf = {each.id: each.T_odom_cam for each in saved.keyframes}
+        T_world_odom = {each.segment: np.eye(4) for each in saved.keyframes[:1]}
+        self.corrections = [Correction(0, len(saved.keyframes) - 1, T_world_kf, T_world_odom)]
 
     @property
     def is_empty(self) -> bool:
@@ -210,6 +224,56 @@ class BackEnd:
         links, steps = tuple(graph.links), tuple(graph.steps)
         warnings = (*solution.warnings, *refusals(attempts))
         return ClosedLoops(T_world_kf, T_start_kf, attempts, links, warnings, largest.trust, steps)
+
+    def saved(
+        self,
+        T_world_kf: FloatArray,
+        attempts: Sequence[LoopAttempt],
+        links: Sequence[Link],
+        sessions: IntArray,
+        frames: Mapping[int, int],
+        the_map: LandmarkMap,
+    ) -> SavedMap:
+        """Return the map that (K, 4, 4) poses give a place, NaN where they do not, to go on from.
+
+        The attempts have their final weights; sessions is (K,) the recording each keyframe is from,
+        and frames how many were placed against each.
+
+        Raises:
+            RecognizerError: nothing tells its recognizer from others.
+        """
+        placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0]))
+        number = dict(zip(placed.tolist(), range(len(placed)), strict=True))
+        used = [
+            (replace(each, query_id=number[each.query_id], match_id=number[each.match_id]), key)
+            for key, each in enumerate(attempts)
+            if each.rejection is None and each.query_id in number and each.match_id in number
+        ]
+        part = part_of_map(the_map, placed.tolist())
+        part.move_keyframes(range(len(placed)), T_world_kf[placed])
+        return SavedMap(
+            camera=the_map.camera,
+            fingerprint=self.loop_closer.fingerprint,
+            keyframes=tuple(
+                replace(self.keyframes[k], id=n, T_odom_cam=T_world_kf[k], segment=0)
+                for k, n in number.items()
+            ),
+            sessions=sessions[placed],
+            frames=np.array([frames.get(k, 0) for k in number], np.int64),
+            embeddings=self.loop_closer.embeddings[placed],
+            is_new=self.loop_closer.is_new(placed),
+            links=tuple(
+                Link(number[each.ref_id], number[each.query_id], each.motion)
+                for each in links
+                if each.ref_id in number and each.query_id in number
+            ),
+            loops=tuple(
+                replace(self._atlas.loop(key), ref_id=each.match_id, query_id=each.query_id)
+                for each, key in used
+            ),
+            attempts=tuple(each for each, _ in used),
+            the_map=part,
+        )
 
     def unsolved(self, T_odom_kf: Mapping[int, FloatArray]) -> ClosedLoops:
         """Return the keyframes as the last correction on the way has them, where it has them.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from placerec.certificate import certificate_of
+from placerec.certificate import certificate_of, fingerprint
 from placerec.checked_recognizer import COSINES, CheckedRecognizer
 from placerec.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
@@ -19,6 +19,7 @@ from slam.loops.known_distances import KnownDistances
 from slam.loops.novelty import Novelty
 from slam.loops.remembered import Remembered
 from slam.loops.second_look import SecondLook
+from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
@@ -57,6 +58,7 @@ class LoopCloser:
     ) -> None:
         self._camera = camera
         self._recognizer = CheckedRecognizer(recognizer, limit_s=loop_config.recognizer_limit_s)
+        self._unchecked = recognizer
         self.certificate = certificate_of(recognizer)
         self._loop_config = loop_config
         self._verification_config = verification_config
@@ -69,7 +71,7 @@ class LoopCloser:
         is_free = self._recognizer.comparer is COSINES
         self._novelty = Novelty(camera) if is_free else None
         self._shown: dict[int, NDArray[np.float32]] = {}  # embeddings of the `compared` keyframes
-        self._embeddings: list[NDArray[np.float32]] = []  # of all keyframes, while they are few
+        self._embeddings: list[NDArray[np.float32]] = []  # of each keyframe
         self._second_look = SecondLook(camera, self._recognizer, loop_config.candidates)
         chosen = loop_config.min_similarity
         own = self._recognizer.min_similarity
@@ -79,6 +81,24 @@ class LoopCloser:
         is_blind = self._recognizer.looks_back > 0
         self._adaptive = None if is_blind else AdaptiveThreshold(self.min_similarity)
         self._known = KnownDistances()
+
+    def load(self, saved: SavedMap) -> None:
+        """Begin with the keyframes of an earlier map; nothing else was added yet."""
+        count = len(saved.keyframes)
+        self._keyframes = list(saved.keyframes)
+        self._segments = array("q", [each.segment for each in saved.keyframes])
+        linked: list[list[int]] = [[] for _ in saved.keyframes]
+        for link in saved.links:
+            linked[max(link.ref_id, link.query_id)].append(min(link.ref_id, link.query_id))
+        self._linked_ids = [*linked]
+        self._embeddings = list(saved.embeddings)
+        places = np.arange(count) if self._novelty is None else self._novelty.load(saved.is_new)
+        self._places = array("q", places.tolist())
+        for k in self._places:
+            self._index.add(saved.embeddings[k])
+        if self._novelty is not None:
+            self._shown = {k: saved.embeddings[k] for k in compared(count)}
+        self._known.skip(count)
 
     def describe(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the float32 embedding of a (H, W, 3) RGB image.
@@ -112,8 +132,7 @@ class LoopCloser:
         self._adapt(keyframe, embedding, is_candidate)
         self._keyframes.append(keyframe)
         self._segments.append(keyframe.segment)
-        if len(self._embeddings) < MOST_REMEMBERED:
-            self._embeddings.append(embedding)
+        self._embeddings.append(embedding)
         self._linked_ids.append(tuple(linked_ids))
         self._remember(keyframe, embedding, attempts)
         return attempts
@@ -166,10 +185,30 @@ class LoopCloser:
         """
         count = len(self._keyframes)
         is_free = self._recognizer.comparer is COSINES and not self._recognizer.can_rerank
-        if not is_free or not 0 < count == len(self._embeddings) == len(the_map.keyframes):
+        if not is_free or not 0 < count == len(the_map.keyframes) or count > MOST_REMEMBERED:
             return None
         own = self._recognizer.min_similarity
         return Remembered(own, np.stack(self._embeddings), the_map)
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells whether embeddings can be compared with those of another run.
+
+        Raises:
+            RecognizerError: the recognizer has none, and no source file.
+        """
+        return fingerprint(self._unchecked)
+
+    @property
+    def embeddings(self) -> NDArray[np.float32]:
+        """(K, *S) float32, of each keyframe."""
+        return np.stack(self._embeddings)
+
+    def is_new(self, keyframe_ids: IntArray) -> NDArray[np.bool_]:
+        """Return (N,) whether keyframes showed something new when they came."""
+        if self._novelty is None:
+            return np.ones(len(keyframe_ids), bool)
+        return np.isin(keyframe_ids, self._novelty.kept)
 
     def similarities(self) -> NDArray[np.float32]:
         """Return (N, N), how alike the `compared` keyframes are, -1 to 1."""

@@ -32,6 +32,17 @@ class Novelty:
         self._kept: set[int] = set()
         self._count = 0
 
+    @property
+    def kept(self) -> IntArray:
+        """The keyframes so far that showed something new, in order."""
+        return np.array(sorted(self._kept), np.int64)
+
+    def load(self, is_new: NDArray[np.bool_]) -> IntArray:
+        """Take (K,) keyframes of an earlier map, and return those that are candidates of later."""
+        self._kept = set(np.flatnonzero(is_new).tolist())
+        self._count = len(is_new)
+        return self.kept if self._count >= _ALL_KEPT else np.arange(self._count)
+
     def is_new(self, keyframe: Keyframe, attempts: Sequence[LoopAttempt]) -> bool:
         """Take the next keyframe with its loop candidates, and return whether to keep it."""
         self._count += 1
@@ -41,7 +52,7 @@ class Novelty:
 
     def chosen(self) -> IntArray | None:
         """Return the keyframes to go on with, at the moment when there are too many, else None."""
-        return np.array(sorted(self._kept)) if self._count == _ALL_KEPT else None
+        return self.kept if self._count == _ALL_KEPT else None
 
     def _shows_something_new(self, keyframe: Keyframe, attempts: Sequence[LoopAttempt]) -> bool:
         seen = np.zeros(0, np.int64)

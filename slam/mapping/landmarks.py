@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points in space that several keyframes see, kept as columns of a growing table."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,6 +46,19 @@ class Landmarks:
         self.is_alive = np.zeros(0, dtype=bool)
         self._merged_into = np.zeros(0, dtype=np.int32)
         self._unused: list[int] = []
+
+    @classmethod
+    def of(cls, **columns: NDArray[Any]) -> "Landmarks":
+        """Return a table of (P, ...) columns, by name, which may lie in a file; all are alive."""
+        table, count = cls(), len(columns["positions_m"])
+        for name, column in columns.items():
+            own = getattr(table, name)
+            if column.dtype != own.dtype or column.shape != (count, *own.shape[1:]):
+                raise ValueError(f"landmarks' {name}")
+            setattr(table, name, column)
+        table._count, table.is_alive = count, np.ones(count, bool)
+        table._merged_into = np.arange(count, dtype=np.int32)
+        return table
 
     def __len__(self) -> int:
         return self._count

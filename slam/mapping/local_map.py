@@ -45,6 +45,15 @@ class LocalMap:
         self._underway: Future[AdjustmentProblem] | None = None
         self._frames_left = 0
 
+    def load(self, saved: LandmarkMap) -> None:
+        """Begin with an earlier map, which is taken over, where it has its first keyframe."""
+        self.whole.landmarks, self.whole.keyframes = saved.landmarks, saved.keyframes
+        self._origins = {0}
+
+    def look_around(self, ids: IntArray) -> None:
+        """Gather the landmarks near some that are seen, without a new keyframe."""
+        self.nearby_ids = self.whole.seen_by(self.whole.covisible_keyframes(ids)[:_WINDOW])
+
     def insert(self, features: Features, T_odom_cam: FloatArray, pairs: IntArray) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id.
 

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map as arrays, with all that adjusting it to loops needs, and back again."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.landmark_map import LandmarkMap, MappedKeyframe
-from slam.mapping.landmarks import UNSEEN
+from slam.mapping.landmarks import UNSEEN, Landmarks
 from slam.types import Features, FloatArray
 
 Arrays = Mapping[str, NDArray[Any]]
 
-_FEATURES = ("pixels", "undistorted_px", "octaves", "descriptors", "depth_m", "points_m")
+FEATURES = ("pixels", "undistorted_px", "octaves", "descriptors", "depth_m", "points_m")
 _LANDMARKS = (
     "positions_m",
     "descriptors",
@@ -30,6 +30,19 @@ def arrays_of_map(the_map: LandmarkMap) -> dict[str, NDArray[Any]]:
 
     Landmarks that are gone are left out, and the others are numbered anew, in the same order.
     """
+    features = {
+        f"feature_{name}": np.concatenate(list(feature_parts(the_map, name))) for name in FEATURES
+    }
+    return {**features, **arrays_of_landmarks(the_map)}
+
+
+def feature_parts(the_map: LandmarkMap, name: str) -> Iterator[NDArray[Any]]:
+    """Yield an array of features, keyframe by keyframe, for all at once may be much."""
+    return (getattr(each.features, name) for each in the_map.keyframes)
+
+
+def arrays_of_landmarks(the_map: LandmarkMap) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a map but for what its features are."""
     table, keyframes = the_map.landmarks, the_map.keyframes
     alive = np.flatnonzero(table.is_alive[: len(table)])
     number = np.full(len(table) + 1, UNSEEN, np.int32)  # the last one for UNSEEN itself
@@ -37,10 +50,6 @@ def arrays_of_map(the_map: LandmarkMap) -> dict[str, NDArray[Any]]:
     created = [each.created_ids[table.is_alive[each.created_ids]] for each in keyframes]
     return {
         "feature_count": np.array([len(each.landmark_of) for each in keyframes], np.int64),
-        **{
-            f"feature_{name}": np.concatenate([getattr(each.features, name) for each in keyframes])
-            for name in _FEATURES
-        },
         "feature_landmark": np.concatenate(
             [number[table.resolve(each.landmark_of)] for each in keyframes]
         ),
@@ -59,21 +68,37 @@ def map_of_arrays(arrays: Arrays, T_odom_kf: FloatArray, empty: LandmarkMap) -> 
     counts, created = arrays["feature_count"], arrays["created_count"]
     if len(counts) != len(T_odom_kf) or len(created) != len(T_odom_kf):
         raise ValueError("keyframes")
-    features = [_parts(arrays[f"feature_{name}"], counts) for name in _FEATURES]
+    features = [_parts(arrays[f"feature_{name}"], counts) for name in FEATURES]
     seen = _parts(arrays["feature_landmark"], counts)
     made = _parts(arrays["created_landmark"], created)
     empty.keyframes = [
         MappedKeyframe(Features(*each), landmark_of, created_ids, T)
         for *each, landmark_of, created_ids, T in zip(*features, seen, made, T_odom_kf, strict=True)
     ]
-    count = len(arrays["landmark_positions_m"])
+    columns = {name: arrays[f"landmark_{name}"] for name in _LANDMARKS}
+    count = len(columns["positions_m"])
     largest = max((int(part.max()) for part in (*seen, *made) if len(part)), default=-1)
-    if largest >= count or any(len(arrays[f"landmark_{name}"]) != count for name in _LANDMARKS):
+    if largest >= count or any(len(each) != count for each in columns.values()):
         raise ValueError("landmarks")
-    empty.landmarks.add(np.asarray(arrays["landmark_positions_m"], np.float64), UNSEEN)
-    for name in _LANDMARKS:
-        getattr(empty.landmarks, name)[:count] = arrays[f"landmark_{name}"]
+    first_keyframe = np.full(count, UNSEEN, np.int32)
+    first_keyframe[arrays["created_landmark"]] = np.repeat(np.arange(len(created)), created)
+    empty.landmarks = Landmarks.of(**columns, first_keyframe=first_keyframe)
     return empty
+
+
+def part_of_map(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> LandmarkMap:
+    """Return the map of some keyframes alone, numbered anew in their order, in a copy."""
+    part = the_map.copy()
+    table = part.landmarks
+    seen = np.zeros(len(table.is_alive), bool)
+    seen[part.seen_by(keyframe_ids)] = True
+    table.cull(np.flatnonzero(table.is_alive & ~seen))
+    number = np.full(len(part.keyframes) + 1, UNSEEN, np.int32)  # the last one for UNSEEN itself
+    number[list(keyframe_ids)] = np.arange(len(keyframe_ids))
+    table.observers = number[table.observers]
+    table.first_keyframe = number[table.first_keyframe]
+    part.keyframes = [part.keyframes[k] for k in keyframe_ids]
+    return part
 
 
 def _parts(array: NDArray[Any], counts: NDArray[np.int64]) -> list[NDArray[Any]]:

@@ -83,7 +83,8 @@ class ClaimedFolder:
             missing = [each for each in (self.path, *self.path.parents) if not each.exists()]
             self.path.mkdir(parents=True, exist_ok=True)
             self._made = missing
-            self._lock = _locked(self.path)
+            what = "the output folder; wait until it is over, or choose another folder with --out"
+            self._lock = locked(self.path, what)
             probe = self.path / f".{os.getpid()}.probe"
             probe.touch()
             probe.unlink()
@@ -163,7 +164,7 @@ class ClaimedFolder:
         """
         try:
             self.refuse_foreign([each.name for each in self.unfinished.iterdir()])
-            _sync(self.unfinished)
+            sync(self.unfinished)
             self.unfinished.replace(self.path / _WRITTEN)
             self._tidy()
         except OSError as error:
@@ -181,13 +182,13 @@ class ClaimedFolder:
         if written.exists():
             for name in _telling_last(self._owned()):
                 (self.path / name).unlink(missing_ok=True)
-            _sync(self.path)
+            sync(self.path)
             written.replace(moving)
         if moving.exists():
             for name in _telling_last(OUTPUTS):
                 if (moving / name).exists():
                     (moving / name).replace(self.path / name)
-            _sync(self.path)
+            sync(self.path)
             shutil.rmtree(moving)
         for each in self.path.glob(".*.part"):
             if _LEFT_OF_A_FILE.fullmatch(each.name):
@@ -223,21 +224,18 @@ class ClaimedFolder:
         self._made = []
 
 
-def _locked(folder: Path) -> int:
+def locked(folder: Path, what: str) -> int:
     """Return a descriptor that locks a folder until it is closed, or the process is no more.
 
     Raises:
-        SlamError: another process has it.
+        SlamError: another process has it: says what that writes into, and what to do.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(descriptor)
-        raise SlamError(
-            "another run is writing into the output folder; wait until it is over, or choose"
-            f" another folder with --out: {folder}"
-        ) from error
+        raise SlamError(f"another run is writing into {what}: {folder}") from error
     except OSError:
         pass  # a file system without locks; most have them
     return descriptor
@@ -248,7 +246,7 @@ def _telling_last(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: (name == _SUMMARY, name == _SETTINGS, name))
 
 
-def _sync(folder: Path) -> None:
+def sync(folder: Path) -> None:
     """Let a folder's entries outlast a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     with suppress(OSError):  # not every file system can

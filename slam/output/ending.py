@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from placerec.errors import LoopcloseError, cause_of
 from slam.config import Config
@@ -11,7 +12,8 @@ from slam.evaluation.drift import DriftReport, compare_drift
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
 from slam.output.journal import Header, read_journal
-from slam.output.measurements import Measurements
+from slam.output.map_folder.folder import save_map, saved_map
+from slam.output.replay.measurements import Measurements
 from slam.output.run_folder import write_outputs
 from slam.output.summary import summary_table
 from slam.result import SlamResult
@@ -36,6 +38,7 @@ class Run:
         poses: the poses from elsewhere, None without.
         doubts: asks what is to be said of the recordings; reading them may add something.
         keeps: whether it keeps what it measured, so that it can be decided again.
+        save: folder to save the map in for later runs, None for nowhere.
     """
 
     claimed: ClaimedFolder
@@ -45,6 +48,7 @@ class Run:
     poses: PoseFile | None
     doubts: Callable[[], tuple[str, ...]]
     keeps: bool = True
+    save: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,11 @@ def conclude(
         )
     except LoopcloseError as error:
         problems.append(str(error))
+    if run.save is not None:
+        try:
+            save_map(run.save, saved_map(slam, result))
+        except Exception as error:
+            problems.append(f"the map is not saved: {cause_of(error)}")
     placed, untracked = len(result.trajectory), len(result.untracked_s)
     if placed < _HARDLY_ANY * untracked and untracked >= _WORTH_A_WORD:
         problems.append(

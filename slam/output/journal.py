@@ -49,6 +49,7 @@ class Header:
         odometry: file of the poses from elsewhere, None without.
         warnings: what is to be said of the recordings; before a run's end, what is known so far.
         certificate: what the recognizer was calibrated on, None where nobody says so.
+        earlier: folder of the map that it goes on from, None without.
     """
 
     title: str
@@ -58,6 +59,7 @@ class Header:
     odometry: str | None
     warnings: tuple[str, ...]
     certificate: Certificate | None = None
+    earlier: str | None = None
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,9 @@ class JournalWriter:
         self._news: deque[tuple[float, TrackedFrame | Rejection | None]] = deque()
         self._keyframes: dict[int, Keyframe] = {}
         self._attempts = 0
+        if slam.earlier:
+            self._keyframes = {each.id: each for each in slam.earlier.keyframes}
+            self._attempts = len(slam.earlier.attempts)
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._write_at_times, daemon=True, name="journal")
 

@@ -19,9 +19,9 @@ from slam.evaluation.trajectory import write_tum
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
 from slam.output.ledger import write_ledger
-from slam.output.measurements import MEASUREMENTS, Measurements, write_measurements
 from slam.output.mesh.separate_process import MESHES, meshes_apart
 from slam.output.point_cloud import write_map
+from slam.output.replay.measurements import MEASUREMENTS, Measurements, write_measurements
 from slam.output.summary import summarise
 from slam.result import GivenOdometry, SlamResult
 from slam.types import Link, RelativePose, SlamError, Trajectory
@@ -147,7 +147,7 @@ def settings_file(command: str, config: Config) -> str:
 
 def _keyframes(result: SlamResult) -> Trajectory:
     # From the trajectory: the two files say the same of a keyframe, also where it is smoothed.
-    keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
+    keyframe_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes[result.earlier :]])
     chosen = np.isin(result.trajectory.timestamps_s, keyframe_s)
     return Trajectory(result.trajectory.timestamps_s[chosen], result.trajectory.T_world_cam[chosen])
 

@@ -78,7 +78,9 @@ class FrameLog:
     What is known of a frame is kept in columns of plain numbers, some 300 bytes in all.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, newest_id: int = -1) -> None:
+        """Begin, with an earlier map up to its newest keyframe if there is one."""
+        self._newest_before = newest_id
         self._timestamps_s, self._covered = array("d"), array("d")
         self._keyframe_ids, self._segments, self._newest_ids = array("q"), array("q"), array("q")
         self._T_kf_cam, self._T_odom_cam = array("d"), array("d")
@@ -88,7 +90,7 @@ class FrameLog:
 
     def add(self, timestamp_s: float, tracked: TrackedFrame) -> None:
         """Remember a frame by its place in a keyframe's camera frame, and by where it was then."""
-        newest_id = self._newest_ids[-1] if self._newest_ids else -1
+        newest_id = self._newest_ids[-1] if self._newest_ids else self._newest_before
         if tracked.new_keyframe:
             newest_id = tracked.new_keyframe.id
         self._timestamps_s.append(timestamp_s)
@@ -251,12 +253,11 @@ class FrameLog:
             )
         unjoined_s = self.unjoined_s(T_any_kf)
         if len(unjoined_s):
-            placed = self._on(np.isfinite(T_any_kf[:, 0, 0]))
-            start_s, beginning = placed.timestamps_s[0], ""
-            if start_s != self._timestamps_s[0]:
-                beginning = (
-                    f"; the map is the part with the most frames, which begins at {start_s:.3f} s"
-                )
+            placed_s = self._on(np.isfinite(T_any_kf[:, 0, 0])).timestamps_s
+            beginning = ""
+            if self._newest_before < 0 and placed_s[0] != self._timestamps_s[0]:
+                beginning = "; the map is the part with the most frames, which begins at"
+                beginning += f" {placed_s[0]:.3f} s"
             warnings.append(
                 f"{len(unjoined_s)} of {total} frames, from {unjoined_s[0]:.3f} s to"
                 f" {unjoined_s[-1]:.3f} s, were tracked apart from the rest and are in no"

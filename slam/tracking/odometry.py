@@ -72,6 +72,17 @@ class RgbdOdometry:
         self._segments = 0
         self._T_given_last: FloatArray | None = None  # where another odometry had the last frame
         self._near: MotionModel | None = None  # around which the local map has gathered landmarks
+        self._has_earlier, self._is_fixed = False, False
+
+    def load(self, keyframes: Sequence[Keyframe], the_map: LandmarkMap, is_fixed: bool) -> None:
+        """Begin with an earlier map, one segment, which is taken over; a fixed one stays as it is.
+
+        Frames of the first view on are looked for in it; a fixed map gets no keyframes, and frames
+        that show nothing of it are not placed.
+        """
+        self._local_map.load(the_map)
+        self._trails.load(keyframes)
+        self._segments, self._has_earlier, self._is_fixed = 1, True, is_fixed
 
     @property
     def map(self) -> LandmarkMap:
@@ -104,7 +115,7 @@ class RgbdOdometry:
         seen = self._extractor.extract(grey, frame.depth_m)
         self._move(self._local_map.next_frame())
         if not self._trails:
-            return self._start(View(frame, seen, self._camera), T_given_cam)
+            return self._begin(View(frame, seen, self._camera), T_given_cam, is_keyframe)
         velocity = self._trails.followed.velocity(
             frame.timestamp_s, shortest_s=self._camera.readout_s
         )
@@ -126,10 +137,25 @@ class RgbdOdometry:
         if isinstance(frame_pose, FramePose):
             view, frame_pose = self._straightened_again(view, seen, frame_pose)
             self._T_given_last = T_given_cam
-            tracked = self._go_on(view, frame_pose, is_keyframe)
-            return replace(tracked, covered=view.covered(frame_pose.pairs[:, 1]))
+            return self._go_on(view, frame_pose, is_keyframe)
         self._trails.miss()
+        if self._is_fixed:
+            return frame_pose
         return self._start(view, T_given_cam) if is_worth_more else frame_pose
+
+    def _begin(
+        self, view: View, T_given_cam: FloatArray | None, is_keyframe: bool
+    ) -> TrackedFrame | Rejection:
+        """Place the first view of a session: in an earlier map that shows it, else at an origin."""
+        if self._has_earlier and view.with_depth >= self._worth_a_segment:
+            frame_pose = self._trails.recognize(view)
+            if isinstance(frame_pose, FramePose):
+                self._T_given_last = T_given_cam
+                return self._go_on(view, frame_pose, is_keyframe)
+        if self._is_fixed:
+            needed = self._trails.following_config.min_matches
+            return Rejection(RejectionReason.FEW_MATCHES, 0, needed)
+        return self._start(view, T_given_cam)
 
     def _straightened_again(
         self, view: View, seen: Features, frame_pose: FramePose
@@ -160,7 +186,7 @@ class RgbdOdometry:
         if view.with_depth < (needed := self._trails.following_config.min_matches):
             return Rejection(RejectionReason.FEW_MATCHES, view.with_depth, needed)
         self.settle()
-        was_lost = bool(self._trails)
+        was_lost = bool(self._trails) or self._has_earlier  # where it is, the map may tell later
         last_s = view.frame.timestamp_s
         _log.info("segment %d begins at %.6f s", self._segments, last_s)
         self._trails.begin(MotionModel(self._segments, was_lost=was_lost, last_s=last_s))
@@ -206,6 +232,7 @@ class RgbdOdometry:
 
     def _go_on(self, view: View, frame_pose: FramePose, is_keyframe: bool) -> TrackedFrame:
         """Remember where the camera is and how it moves; make the view a keyframe if need be."""
+        covered = view.covered(frame_pose.pairs[:, 1])
         model = self._trails.followed
         reference = model.recent[-1]
         turning_rad_s = model.follow(view.frame.timestamp_s, frame_pose.T_map_cam)
@@ -213,7 +240,9 @@ class RgbdOdometry:
         model.usual_inliers = len(frame_pose.pairs)
         T_kf_cam = se3.inverse(self.map.keyframes[reference.id].T_map_cam) @ frame_pose.T_map_cam
         if not self._needs_keyframe(frame_pose, T_kf_cam) and not is_keyframe:
-            return self._placed(reference, T_kf_cam)
+            return replace(self._placed(reference, T_kf_cam), covered=covered)
+        if self._is_fixed:
+            return replace(self._placed_elsewhere(frame_pose), covered=covered)
         if moved := self._local_map.settle():
             self._move(moved)
             frame_pose = self._placed_again(view, frame_pose)
@@ -224,7 +253,17 @@ class RgbdOdometry:
         if all(each.id != reference.id for each in most):
             most.append(reference)
         links = covisible_links(self.map, keyframe, most, frame_pose.hessian)
-        return self._placed(keyframe, np.eye(4), keyframe, links)
+        return replace(self._placed(keyframe, np.eye(4), keyframe, links), covered=covered)
+
+    def _placed_elsewhere(self, frame_pose: FramePose) -> TrackedFrame:
+        """Return the frame placed against the keyframe that shows most of what it shows."""
+        ids = frame_pose.pairs[:, 0]
+        self._trails.go_to(ids)
+        self._local_map.look_around(ids)
+        self._near = self._trails.followed
+        reference = self._near.recent[-1]
+        T_map_kf = self.map.keyframes[reference.id].T_map_cam
+        return self._placed(reference, se3.inverse(T_map_kf) @ frame_pose.T_map_cam)
 
     def _placed_again(self, view: View, frame_pose: FramePose) -> FramePose:
         """Return the last pose as the map, which has moved since, has it."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.mapping.landmark_map import LandmarkMap
+from slam.mapping.landmarks import UNSEEN
 from slam.tracking.frame_pose import FramePose, View, pose_by_keyframes
 from slam.tracking.motion_model import MotionModel
 from slam.types import FloatArray, Keyframe, Rejection
@@ -38,6 +39,10 @@ class Trails:
         self._jump_config = config.verification.model_copy(update=more)
         self._keyframes: list[Keyframe] = []  # by id
         self._models: list[MotionModel] = []
+
+    def load(self, keyframes: Sequence[Keyframe]) -> None:
+        """Begin with the keyframes of an earlier map."""
+        self._keyframes = list(keyframes)
 
     def __bool__(self) -> bool:
         """Whether the camera was anywhere in this session."""
@@ -109,7 +114,7 @@ class Trails:
             keyframe = self._keyframes[k]
             frame_pose = pose_by_keyframes(self._map, view, [keyframe], self._jump_config)
             if isinstance(frame_pose, FramePose):
-                self.begin(self._model_at(keyframe))
+                self.begin(self._model_at(keyframe, view.frame.timestamp_s))
                 return frame_pose
         return None
 
@@ -124,12 +129,19 @@ class Trails:
             return None
         return self.recognize(view, young.segment)
 
-    def _model_at(self, keyframe: Keyframe) -> MotionModel:
+    def go_to(self, ids: NDArray[np.int64]) -> None:
+        """Follow the camera from now on by the keyframe that sees most of these landmarks."""
+        self.followed.recent = self.covisible(UNSEEN, ids)[self._links :: -1]
+        self.followed.most_shared = 0
+
+    def _model_at(self, keyframe: Keyframe, now_s: float) -> MotionModel:
         """Return the model of a camera that has last been where a keyframe was taken."""
+        # The clock of an earlier map may be ahead.
+        last_s = keyframe.timestamp_s if keyframe.timestamp_s < now_s else -np.inf
         others = self.covisible(keyframe.id, self._map.seen_by([keyframe.id]))
         return MotionModel(
             keyframe.segment,
             recent=[*reversed(others[: self._links]), keyframe],
-            last_s=keyframe.timestamp_s,
+            last_s=last_s,
             T_odom_last=self._map.keyframes[keyframe.id].T_map_cam,
         )

@@ -61,6 +61,9 @@ class Scene:
         self._version = 0  # of the correction that is shown
         self._first_s: float | None = None
         self._track_s = 0.0
+        if slam.earlier:
+            self._keyframes = {each.id: _seen(each) for each in slam.earlier.keyframes}
+            self._attempts, self._version = len(slam.earlier.attempts), -1  # shown at once
 
     def begin(self) -> None:
         """Log what does not change."""

@@ -137,7 +137,8 @@ def gather(result: SlamResult, drift: DriftReport | None) -> Paths:
     corrected = result.corrected
     stamps_s = corrected.timestamps_s
     keyframes_s = np.array([keyframe.timestamp_s for keyframe in result.keyframes])
-    frames_s = np.unique(np.concatenate([stamps_s, keyframes_s, result.untracked_s]))
+    own_s = keyframes_s[result.earlier :]
+    frames_s = np.unique(np.concatenate([stamps_s, own_s, result.untracked_s]))
     later_s = result.session_starts_s
     starts_s = np.append(frames_s[0], later_s)
     ends_s = frames_s[np.searchsorted(frames_s, later_s) - 1]
@@ -148,6 +149,7 @@ def gather(result: SlamResult, drift: DriftReport | None) -> Paths:
         return np.asarray(times_s - starts_s[0] - np.cumsum(breaks_s)[session])
 
     frame = np.searchsorted(stamps_s, keyframes_s).clip(max=len(stamps_s) - 1)
+    is_drawn = (stamps_s[frame] == keyframes_s) & (np.arange(len(frame)) >= result.earlier)
     truth_m = np.full((len(stamps_s), 3), np.nan)
     if drift is not None:
         matched, in_truth = associate(corrected, drift.truth, drift.tolerance_s)
@@ -160,7 +162,7 @@ def gather(result: SlamResult, drift: DriftReport | None) -> Paths:
         without_loops=drift.without_loops.T_truth_world @ without_loops if drift else without_loops,
         corrected=(drift.corrected.T_truth_world if drift else np.eye(4)) @ corrected.T_world_cam,
         truth_m=truth_m,
-        keyframe_frames=np.where(stamps_s[frame] == keyframes_s, frame, -1),
+        keyframe_frames=np.where(is_drawn, frame, -1),
         lost_s=elapsed_s(result.untracked_s),
         session_starts_s=elapsed_s(starts_s),
         in_truth_frame=drift is not None,

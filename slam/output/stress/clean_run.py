@@ -10,9 +10,9 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.datasets import Sessions
 from slam.evaluation.drift import compare_drift
-from slam.output.finishing import replayed
 from slam.output.journal import Header, Journal
-from slam.output.measurements import Measurements, read_measurements, write_measurements
+from slam.output.replay.finishing import replayed
+from slam.output.replay.measurements import Measurements, read_measurements, write_measurements
 from slam.result import SlamResult
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame

@@ -17,8 +17,8 @@ from slam.evaluation.motion_truth import judge_loops
 from slam.evaluation.stress.false_loops import CLUSTERS, SCATTERED, Places, false_loops
 from slam.evaluation.stress.images import IMAGE_STRESS
 from slam.evaluation.stress.odometry_noise import drift
-from slam.output.finishing import replayed
 from slam.output.journal import Journal
+from slam.output.replay.finishing import replayed
 from slam.output.stress.clean_run import CleanRun, track
 from slam.output.stress.outcome import Outcome
 from slam.output.stress.stressors import CLEAN, ODOMETRY_NOISE

@@ -14,7 +14,7 @@ from slam.geometry import se3
 from slam.loops import loop_closure
 from slam.loops.loop_closure import LoopCloser
 from slam.output.comparison.runs import read_runs
-from slam.output.finishing import ReplayedSlam
+from slam.output.replay.finishing import ReplayedSlam
 from slam.types import Rejection, RejectionReason, RelativePose
 
 QUICK = ("--map.write", "False", "--recognizer", "gradients")

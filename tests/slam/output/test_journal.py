@@ -11,10 +11,10 @@ from slam.config import Config
 from slam.evaluation.trajectory import read_tum
 from slam.output import journal
 from slam.output.claimed_folder import JOURNAL
-from slam.output.finishing import replayed
 from slam.output.journal import Header, JournalWriter, read_journal
 from slam.output.ledger import read_ledger
-from slam.output.measurements import (
+from slam.output.replay.finishing import replayed
+from slam.output.replay.measurements import (
     MEASUREMENTS,
     Measurements,
     read_measurements,

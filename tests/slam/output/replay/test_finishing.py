@@ -4,8 +4,8 @@ import pytest
 
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config
-from slam.output.finishing import NOT_ADJUSTED, replayed
 from slam.output.journal import Header, JournalWriter, read_journal
+from slam.output.replay.finishing import NOT_ADJUSTED, replayed
 from slam.system import Slam
 
 

@@ -11,7 +11,7 @@ import pytest
 from slam.demo.panels import Panel
 from slam.geometry import se3
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "long_run.py"
+BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "large_maps" / "long_run.py"
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a long run costs: time per frame, memory per keyframe, loop queries, and the finish.
 
-    python benchmarks/long_run.py [--frames 5000 20000] [--recognizer NAME] [--out FOLDER]
-    python benchmarks/long_run.py --frames 1000 10000 50000 100000 --fresh-room 40
+    python benchmarks/large_maps/long_run.py [--frames 5000 20000] [--out FOLDER]
+    python benchmarks/large_maps/long_run.py --frames 1000 10000 50000 100000 --fresh-room 40
 
 A camera is carried round a rendered room, 12 s a lap, again and again; with --fresh-room it then
 walks through a door into another one, and so on. A lap is rendered once; each frame then gets grain
