@@ -204,8 +204,12 @@ def _run(arguments: Arguments) -> None:
         gc.collect()
         gc.freeze()
         slam = Slam(
-            *(sessions.camera, recognizer, settings, claimed.unfinished),
-            *(earlier, arguments.localise_only),
+            sessions.camera,
+            recognizer,
+            settings,
+            claimed.unfinished,
+            earlier=earlier,
+            is_fixed=arguments.localise_only,
         )
         header = Header(
             arguments.title,
