@@ -29,6 +29,7 @@ def test_a_loop_helped_if_the_error_is_larger_without_it():
     truth = trajectory(true_m)
     estimate = trajectory(true_m + bend_m)
     result = SimpleNamespace(
+        earlier=0,
         attempts=attempts,
         keyframes=[SimpleNamespace(timestamp_s=t) for t in estimate.timestamps_s],
         T_world_kf=estimate.T_world_cam,
