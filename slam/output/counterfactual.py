@@ -15,12 +15,7 @@ from slam.types import Trajectory
 
 # Of the ATE: what a loop alone changes by less is not felt. Loops that agree share their effect.
 _FELT = 0.01
-_SAID = {
-    "helped": "helped",
-    "hurt": "hurt",
-    "agrees": "agrees with the others",
-    "contradicts": "contradicts the others",
-}
+_SAID = {"agrees": "agrees with the others", "contradicts": "contradicts the others"}
 
 
 def counterfactual(result: SlamResult, drift: DriftReport | None) -> dict[str, object]:
@@ -122,14 +117,17 @@ def in_words(loops: Sequence[Decision], drift: DriftReport | None) -> str | None
     (loop, most), records = found[0], [record for _, record in found]
     if drift is not None and most.helped_mm is not None:
         told = _felt(records, 1000.0 * drift.corrected.ate_rmse_m)
+        change = "smaller" if most.helped_mm >= 0.0 else "larger"
+        did = f"made the error {abs(most.helped_mm):.2g} mm {change}"
     else:
         odd = sum(record.verdict == "contradicts" for record in records)
         verb = "are" if odd > 1 else "is"
         told = f"{odd or 'none'} of {len(records)} loops {verb} at odds with the others"
+        did = _SAID[most.verdict]
     return (
         f"Left out one at a time, {told}; the one that moved the map most, from keyframe"
-        f" {loop.query.id} to {loop.match.id}, {_SAID[most.verdict]}: it moved"
-        f" keyframes by {most.moved_rms_mm:.2g} mm (RMS), up to {most.moved_most_mm:.2g} mm."
+        f" {loop.query.id} to {loop.match.id}, moved keyframes by {most.moved_rms_mm:.2g} mm (RMS),"
+        f" up to {most.moved_most_mm:.2g} mm, and {did}."
     )
 
 

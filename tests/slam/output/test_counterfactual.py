@@ -47,7 +47,7 @@ def test_ground_truth_has_the_last_word_on_what_helped(run):
     assert (most.verdict, least.verdict) == ("helped", "hurt")
     assert most.helped_mm == pytest.approx(2.0)
     sentence = in_words(decisions(result, drift), drift)
-    assert "helped: it moved" in sentence
+    assert "and made the error 2 mm smaller." in sentence
     assert left_out(most).endswith("elsewhere (RMS), its error 2 mm larger")
     assert left_out(least).endswith("elsewhere (RMS), its error 0.5 mm smaller")
 
