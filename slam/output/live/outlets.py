@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where what is shown goes: to a viewer of its own, or into a file; both may fail at any time."""
 
+import atexit
 import os
 import select
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +17,7 @@ import rerun as rr
 from slam.types import SlamError
 
 _PATIENCE_S = 10.0  # for a viewer that takes nothing
+_DISK_PATIENCE_S = 10.0  # which is full: what waits to be written may then never be
 _APPLICATION = "loopclose"
 _VIEWER = (sys.executable, "-m", "rerun", "-")
 
@@ -127,7 +130,7 @@ class File:
         Raises:
             RuntimeError: it cannot be written.
         """
-        self.recording.flush()
+        self.recording.flush(timeout_sec=_DISK_PATIENCE_S)
 
     def close(self) -> None:
         """Write the rest and give the file its name.
@@ -135,7 +138,7 @@ class File:
         Raises:
             OSError, RuntimeError: it cannot be written.
         """
-        self.recording.flush()
+        self.flush()
         self.recording.disconnect()  # writes where in it is what
         with self._partial.open("rb") as stream:
             os.fsync(stream.fileno())  # a full disk may only show up here
@@ -143,7 +146,9 @@ class File:
 
     def abandon(self) -> None:
         """Remove it: a full disk has better use for the room."""
-        self.recording.disconnect()
+        # Rerun may wait for ever for what it could not write, here and when the program ends.
+        atexit.unregister(rr.rerun_shutdown)
+        threading.Thread(target=self.recording.disconnect, daemon=True).start()
         with suppress(OSError):
             self._partial.unlink(missing_ok=True)
 
