@@ -3,6 +3,7 @@
 
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -300,22 +301,15 @@ class LoopCloser:
     def _attempt(
         self, query: Keyframe, match: Keyframe, similarity: float, second: Check | None
     ) -> LoopAttempt:
-        needed, verification = self.min_similarity, None
+        needed = self.min_similarity
         first = Check.at_least(RejectionReason.LOW_SIMILARITY, similarity, needed)
         checks = (first, second) if second else (first,)
-        outcome: RelativePose | Rejection | None
-        outcome = next((each.rejection for each in checks if each.rejection), None)
-        if outcome is None:
-            verification, outcome, seen = self._verified(query, match)
-            checks = (*checks, *seen)
+        rejection = next((each.rejection for each in checks if each.rejection), None)
+        if rejection is None:
+            seen = self.verify(query, match, similarity, Proposal.SIMILARITY)
+            return replace(seen, checks=(*checks, *seen.checks))
         return LoopAttempt(
-            query.id,
-            match.id,
-            similarity,
-            verification,
-            outcome,
-            min_similarity=needed,
-            checks=checks,
+            query.id, match.id, similarity, None, rejection, min_similarity=needed, checks=checks
         )
 
     def _verified(

@@ -22,7 +22,7 @@ class PoseGraph:
         links: they connect all keyframes.
         loops: by a key that their weight is found by.
         steps: what an odometry from elsewhere measured, believed as the links are.
-        solved: (4, 4) by keyframe id, an earlier solution, from which a large graph is solved.
+        solved: (4, 4) by keyframe id, an earlier solution; all but a small one begins there.
         is_planar: whether motions differ by three numbers only, as those of a 2-D graph.
     """
 

@@ -1,26 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-import importlib.util
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.large_maps import long_run
 from slam.demo.panels import Panel
 from slam.geometry import se3
-
-BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "large_maps" / "long_run.py"
 
 
 @pytest.fixture(scope="module")
 def benchmark():
-    spec = importlib.util.spec_from_file_location("benchmark_of_long_runs", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    return long_run
 
 
 @pytest.fixture

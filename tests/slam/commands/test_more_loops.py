@@ -2,7 +2,6 @@
 """Loops that a run missed are found once its map is solved, and false ones are not taken."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,22 +16,13 @@ from slam.output.comparison.runs import read_runs
 from slam.output.replay.finishing import ReplayedSlam
 from slam.types import Rejection, RejectionReason, RelativePose
 
-QUICK = ("--map.write", "False", "--recognizer", "gradients")
 NOTHING_IS_ALIKE = ("--loop.min-similarity", "1.0")
 DECIDED = ("trajectory.txt", "keyframes.txt", "loops.jsonl", "pose_graph.g2o")
 AGAIN = ("overlap", "next_similar")
 
 
-def run(recording, folder, *settings):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", list(sys.path))
-        patch.setattr("slam.output.run_folder._write_report", lambda path, *_: path.touch())
-        assert main([str(recording), *QUICK, "--out", str(folder), *settings]) == 0
-    return folder
-
-
 @pytest.fixture(scope="module")
-def blind(recording, tmp_path_factory):
+def blind(run, recording, tmp_path_factory):
     """Return the folder of a run that took no two images for one place."""
     return run(recording, tmp_path_factory.mktemp("blind") / "run", *NOTHING_IS_ALIKE)
 
@@ -117,7 +107,7 @@ def test_false_loops_that_fool_geometry_are_outvoted(blind, tmp_path, monkeypatc
     assert (tmp_path / "trajectory.txt").read_bytes() == (blind / "trajectory.txt").read_bytes()
 
 
-def test_poses_from_elsewhere_are_corrected_by_what_is_found(blind, recording, tmp_path):
+def test_poses_from_elsewhere_are_corrected_by_what_is_found(run, blind, recording, tmp_path):
     given = ("--odometry", str(blind / "odometry.txt"))
     folder = run(recording, tmp_path / "run", *NOTHING_IS_ALIKE, *given)
     assert more_loops(folder, tmp_path / "again")["more_loops"]["rounds"] > 0
@@ -126,7 +116,7 @@ def test_poses_from_elsewhere_are_corrected_by_what_is_found(blind, recording, t
         assert (tmp_path / "again" / name).read_bytes() != (folder / name).read_bytes()
 
 
-def test_in_a_map_of_one_keyframe_there_is_nothing_to_look_for(short_recording, tmp_path):
+def test_in_a_map_of_one_keyframe_there_is_nothing_to_look_for(run, short_recording, tmp_path):
     folder = run(short_recording(2), tmp_path / "run")
     assert more_loops(folder, tmp_path / "again")["more_loops"]["rounds"] == 0
 
@@ -136,7 +126,7 @@ def test_it_is_compared_with_its_run(blind, again):
     assert group.differing["more-loops"] == ("not told", str(blind))
 
 
-def test_loops_of_the_run_that_are_dropped_are_told(recording, tmp_path, monkeypatch):
+def test_loops_of_the_run_that_are_dropped_are_told(run, recording, tmp_path, monkeypatch):
     alike = run(recording, tmp_path / "run", "--loop.candidates", "1")
     finish, finished = ReplayedSlam.finish, []
 
@@ -157,7 +147,7 @@ def test_loops_of_the_run_that_are_dropped_are_told(recording, tmp_path, monkeyp
     assert any("contradict the run: 1 of its" in each for each in summary["warnings"])
 
 
-def test_a_run_without_features_is_one_line(recording, tmp_path, monkeypatch, capsys):
+def test_a_run_without_features_is_one_line(run, recording, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(loop_closure, "MOST_REMEMBERED", 2)
     folder = run(recording, tmp_path / "run")
     capsys.readouterr()

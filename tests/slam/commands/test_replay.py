@@ -4,7 +4,6 @@
 import json
 import re
 import shutil
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -18,24 +17,15 @@ from slam.loops import loop_closure
 from slam.output.run_folder import settings_file
 
 DECIDED = ("trajectory.txt", "odometry.txt", "keyframes.txt", "loops.jsonl", "pose_graph.g2o")
-QUICK = ("--map.write", "False", "--recognizer", "gradients")
-
-
-def run(recording, folder, *settings):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", list(sys.path))
-        patch.setattr("slam.output.run_folder._write_report", lambda path, *_: path.touch())
-        assert main([str(recording), *QUICK, "--out", str(folder), *settings]) == 0
-    return folder
 
 
 @pytest.fixture(scope="module")
-def whole(recording, tmp_path_factory):
+def whole(run, recording, tmp_path_factory):
     return run(recording, tmp_path_factory.mktemp("whole") / "run")
 
 
 @pytest.fixture(scope="module")
-def without_features(recording, tmp_path_factory):
+def without_features(run, recording, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop_closure, "MOST_REMEMBERED", 2)
         return run(recording, tmp_path_factory.mktemp("large") / "run")
@@ -46,13 +36,11 @@ def replay(folder, *settings):
     return folder.with_name("run-replay")
 
 
-def killed(recording, folder):
+def killed(run, recording, folder):
     """Return the folder of a run that was killed before its outputs were made."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("slam.output.ending.conclude", failing(KeyboardInterrupt))
-        patch.setattr(sys, "path", list(sys.path))
-        assert main([str(recording), *QUICK, "--out", str(folder)]) == 2
-    return folder
+        return run(recording, folder, code=2)
 
 
 def failing(error):
@@ -83,7 +71,7 @@ def test_with_nothing_changed_every_byte_is_the_same(whole):
     assert (again / "report.html").exists()
 
 
-def test_other_thresholds_decide_what_a_run_with_them_does(whole, recording, tmp_path):
+def test_other_thresholds_decide_what_a_run_with_them_does(run, whole, recording, tmp_path):
     strict = ("--verification.min-inliers", "300", "--loop.candidates", "6")
     fresh, again = run(recording, tmp_path / "run", *strict), replay(whole, *strict)
     assert (again / "loops.jsonl").read_bytes() != (whole / "loops.jsonl").read_bytes()
@@ -91,7 +79,7 @@ def test_other_thresholds_decide_what_a_run_with_them_does(whole, recording, tmp
         assert (again / name).read_bytes() == (fresh / name).read_bytes(), name
 
 
-def test_poses_from_elsewhere_are_judged_again(whole, recording, tmp_path):
+def test_poses_from_elsewhere_are_judged_again(run, whole, recording, tmp_path):
     given = ("--odometry", str(whole / "odometry.txt"))
     fresh = run(recording, tmp_path / "run", *given)
     again = replay(fresh)
@@ -162,7 +150,7 @@ def test_the_settings_of_the_run_hold_wherever_it_is_named(tmp_path, is_first):
     assert told.settings.loop.candidates == 7
 
 
-def test_what_reading_found_is_told_again(short_recording, tmp_path):
+def test_what_reading_found_is_told_again(run, short_recording, tmp_path):
     folder = short_recording(8)
     sorted((folder / "rgb").iterdir())[3].write_bytes(b"")
     ran = run(folder, tmp_path / "run")
@@ -171,8 +159,8 @@ def test_what_reading_found_is_told_again(short_recording, tmp_path):
     assert skipped in again and not any("stopped early" in each for each in again)
 
 
-def test_a_killed_run_that_was_finished_is_not_whole(short_recording, tmp_path):
-    folder = killed(short_recording(8), tmp_path / "run")
+def test_a_killed_run_that_was_finished_is_not_whole(run, short_recording, tmp_path):
+    folder = killed(run, short_recording(8), tmp_path / "run")
     assert main([str(folder), "--finish"]) == 0
     again = replay(folder)
     assert any("the run stopped early" in each for each in warnings(again))
@@ -182,7 +170,7 @@ def test_a_killed_run_that_was_finished_is_not_whole(short_recording, tmp_path):
 
 @pytest.mark.parametrize(("inside", "named"), [("run", "."), ("run/deeper", "..")])
 def test_the_folder_it_stands_in_is_named_by_its_name(
-    short_recording, tmp_path, monkeypatch, inside, named
+    run, short_recording, tmp_path, monkeypatch, inside, named
 ):
     run(short_recording(8), tmp_path / "run")
     (tmp_path / inside).mkdir(exist_ok=True)
@@ -202,15 +190,15 @@ def test_of_a_replay_that_fails_nothing_is_left(whole, tmp_path, monkeypatch, ca
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_a_killed_run_that_is_replaced_is_told(short_recording, tmp_path, capsys):
+def test_a_killed_run_that_is_replaced_is_told(run, short_recording, tmp_path, capsys):
     recording = short_recording(8)
-    ran, unfinished = run(recording, tmp_path / "run"), killed(recording, tmp_path / "killed")
+    ran, unfinished = run(recording, tmp_path / "run"), killed(run, recording, tmp_path / "killed")
     capsys.readouterr()
     replay(ran, "--out", str(unfinished))
     assert "was killed, and this one replaces it" in capsys.readouterr().err
 
 
-def test_a_recording_called_replay_is_reached_by_its_path(recording, tmp_path, monkeypatch):
+def test_a_recording_called_replay_is_reached_by_its_path(run, recording, tmp_path, monkeypatch):
     shutil.copytree(recording, tmp_path / "replay")
     monkeypatch.chdir(tmp_path)
     assert (run("./replay", tmp_path / "out") / "trajectory.txt").exists()
@@ -226,7 +214,7 @@ def test_help_names_and_teaches_it(capsys):
         assert ended.value.code in (0, None) and told in capsys.readouterr().out
 
 
-def test_of_a_run_of_hours_nothing_is_kept_and_that_is_said(recording, tmp_path, monkeypatch):
+def test_of_a_run_of_hours_nothing_is_kept_and_that_is_said(run, recording, tmp_path, monkeypatch):
     monkeypatch.setattr("slam.output.ending._MOST_MEASURED", 2)
     folder = run(recording, tmp_path / "run")
     assert not (folder / "measurements.npz").exists()

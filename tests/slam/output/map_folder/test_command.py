@@ -67,7 +67,7 @@ def test_a_later_run_goes_on_from_the_map_and_saves_it(place, tmp_path, T_first_
 
 
 def test_a_run_on_a_map_can_be_kept_for_the_viewer(place, tmp_path):
-    pytest.importorskip("rerun")
+    pytest.importorskip("rerun", reason="needs Rerun: pip install 'loopclose[live]'")
     asked = ("--load", place / "map", "--rrd", tmp_path / "run.rrd")
     assert run(place, *asked, out=tmp_path / "run") == 0
     assert (tmp_path / "run.rrd").stat().st_size > 100_000
