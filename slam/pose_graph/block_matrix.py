@@ -9,8 +9,8 @@ from slam.types import FloatArray, IntArray
 
 _ANCHOR_INFORMATION = 1e8
 # Where weights hardly changed, a step is found with the factors of an earlier one, applied up to so
-# many times, to this share of its right side. In a small graph new factors cost less.
-_MOST_REPEATS, _REST = 30, 1e-8
+# many times. In a small graph new factors cost less.
+_MOST_REPEATS = 30
 _WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -36,15 +36,15 @@ class BlockMatrix:
         self._columns = places % count
         self._starts = np.searchsorted(places, count * np.arange(count + 1))
 
-    def solved(self, blocks: list[FloatArray], right: FloatArray) -> FloatArray:
-        """Return (K, 6), what the matrix takes to (K, 6) right.
+    def solved(self, blocks: list[FloatArray], right: FloatArray, rest: float) -> FloatArray:
+        """Return (K, 6), what the matrix takes to (K, 6) right, but for a rest of such a share.
 
         Its blocks are (M, 6, 6) each: from reference to itself, to query, and from that to both.
         """
         matrix = self._summed(blocks)
         in_place = np.empty_like(right)
         in_place[self._place_of] = right
-        solution = self._nearly(matrix, in_place.ravel())
+        solution = self._nearly(matrix, in_place.ravel(), rest)
         if solution is None:
             self._factors = splu(matrix, permc_spec="NATURAL", **_POSITIVE)
             solution = self._factors.solve(in_place.ravel())
@@ -62,15 +62,20 @@ class BlockMatrix:
         added = np.concatenate([*blocks, _ANCHOR_INFORMATION * np.eye(6)[None]]).reshape(-1, 36)
         summed = (self._sum @ added).reshape(-1, 6, 6)
         size = 6 * len(self._place_of)
-        parts = (summed, self._columns, self._starts)
-        return scipy.sparse.bsr_array(parts, shape=(size, size)).tocsc()
+        by_rows = scipy.sparse.bsr_array((summed, self._columns, self._starts), shape=(size, size))
+        by_rows = by_rows.tocsr()
+        # It is symmetric, so its rows are its columns.
+        columns = (by_rows.data, by_rows.indices, by_rows.indptr)
+        return scipy.sparse.csc_array(columns, shape=(size, size))
 
-    def _nearly(self, matrix: scipy.sparse.csc_array, right: FloatArray) -> FloatArray | None:
+    def _nearly(
+        self, matrix: scipy.sparse.csc_array, right: FloatArray, rest: float
+    ) -> FloatArray | None:
         """Return the solution if the factors of an earlier matrix lead to it soon, else None."""
         if self._factors is None or len(right) < 6 * _WORTH_REUSING:
             return None
         factors = LinearOperator(matrix.shape, self._factors.solve, dtype=np.float64)
-        solution, is_left = cg(matrix, right, rtol=_REST, maxiter=_MOST_REPEATS, M=factors)
+        solution, is_left = cg(matrix, right, rtol=rest, maxiter=_MOST_REPEATS, M=factors)
         return None if is_left else np.asarray(solution)
 
 

@@ -9,14 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.graph import GraphSolution, PoseGraph
-from slam.pose_graph.live import graduated, squared_error_limit
+from slam.pose_graph.live import ROUGH, graduated, squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
-from slam.pose_graph.second_opinion import contested, doubts_of_bridges, second_opinion
+from slam.pose_graph.second_opinion import contested, doubts, doubts_of_bridges, second_opinion
 from slam.types import FloatArray
 
 _MOST_STEPS = 20
-_AT_REST = 1e-8  # of a step: rad and m
+_AT_REST = 1e-6  # of a step: rad and m; in a map of hours none is exact to a tenth of that
 _MOST_SOFT_STEPS, _SOFT_AT_REST = 20, 1e-4  # an opinion needs no more than that
+# One in ten thousand loops may be in to one estimator and out to the other: it bends next to
+# nothing.
+_MAY_DIFFER = 1e-4
 
 
 def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
@@ -25,43 +28,51 @@ def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     limit = squared_error_limit(inlier_probability, graph.is_planar)
     T, squared = graduated(system, limit)
     T, kept, squared = _at_rest(system, T, squared < limit, limit)
-    doubts: tuple[str, ...] = ()
-    if graph.loops and system.is_solved and _is_undisputed(system, T, kept, squared, limit):
-        doubts = doubts_of_bridges(graph, system, inlier_probability, kept, squared)
+    said: tuple[str, ...] = ()
+    differing = _differing(system, T, kept, squared, limit)
+    if graph.loops and differing is not None:
+        bridges = doubts_of_bridges(graph, system, inlier_probability, kept, squared)
+        said = (*doubts(kept, differing), *bridges)
     elif graph.loops:
         cost = system.links_cost(T) + float(np.minimum(squared, limit).sum())
         opinion = second_opinion(graph, system, inlier_probability, kept, squared, cost)
-        doubts = opinion.doubts
+        said = opinion.doubts
         if opinion.T_world_kf is not None:
             T, kept, squared = _at_rest(system, opinion.T_world_kf, opinion.kept, limit)
     return GraphSolution(
         dict(zip(graph.T_world_kf, T, strict=True)),
         dict(zip(graph.loops, kept.astype(np.float64).tolist(), strict=True)),
-        doubts,
+        said,
         dict(zip(graph.loops, squared.tolist(), strict=True)),
         limit,
     )
 
 
-def _is_undisputed(
+def _differing(
     system: MotionSystem,
     T_world_kf: FloatArray,
     kept: NDArray[np.bool_],
     squared: FloatArray,
     limit: float,
-) -> bool:
-    """Return whether a Cauchy kernel, which ignores no loop, sees all loops alike.
+) -> NDArray[np.bool_] | None:
+    """Return (L,) the few loops that a Cauchy kernel, which ignores none, clearly sees otherwise.
 
     To foretell the loops of hours, one after the other, takes minutes. Where false ones that agree
-    had won, this kernel was pulled elsewhere, though it cannot tell who is right.
+    had won, this kernel was pulled elsewhere, though it cannot tell who is right: None then, and
+    where nothing was solved before, to be asked again.
     """
+    if not system.is_solved:
+        return None
     softened = squared
     for _ in range(_MOST_SOFT_STEPS):
-        T_world_kf, size = system.step(T_world_kf, 1.0 / (1.0 + softened / limit))
+        weights = 1.0 / (1.0 + softened / limit)
+        T_world_kf, size = system.step(T_world_kf, weights, ROUGH)
         softened = system.squared_errors(T_world_kf)
         if size < _SOFT_AT_REST:
             break
-    return not contested(kept, squared / limit, softened / limit).any()
+    differing = contested(kept, squared / limit, softened / limit)
+    is_in_dispute = np.count_nonzero(differing) > _MAY_DIFFER * len(differing)
+    return None if is_in_dispute else differing
 
 
 def _at_rest(

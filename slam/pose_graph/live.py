@@ -20,9 +20,14 @@ from slam.types import FloatArray
 _CONVEXITY_STEP = 1.4  # by how much the cost comes nearer to the true one in a round
 # From an earlier solution there is no hurry to be feared until loops begin to be given up.
 _HURRIED_STEP, _UNDECIDED = 4.0, 0.1
-_CONVEX = 0.01
+# While the cost is convex, weights are small without a loop being out. In the end it is as sharp as
+# it has to be: only loops within a tenth of the limit are neither in nor out, if there are many.
+_CONVEX, _SHARP = 0.01, 10.0
 _MOST_ROUNDS = 60
 _POLISH_STEPS = 3  # once it is clear which loops hold
+
+ROUGH = 1e-3
+"""The share of a step that may be left to the next one where that has other weights anyway."""
 
 
 def solve_beside(
@@ -71,11 +76,10 @@ def graduated(system: MotionSystem, limit: float) -> tuple[FloatArray, FloatArra
     convexity = 1.0 / max(2.0 * float(squared.max(initial=0.0)) / limit - 1.0, 1e-6)
     for _ in range(_MOST_ROUNDS):
         weights = _weights(squared, limit, convexity)
-        T, _ = system.step(T, weights)
+        T, _ = system.step(T, weights, ROUGH)
         squared = system.squared_errors(T)
-        # While the cost is convex, weights are small without a loop being out.
         is_clear = ((weights < 1e-3) | (weights > 1.0 - 1e-3)).all()
-        if is_clear and convexity > _CONVEX:
+        if convexity > (_CONVEX if is_clear else _SHARP):
             break
         hurries = system.is_solved and convexity < _UNDECIDED
         convexity *= _HURRIED_STEP if hurries else _CONVEXITY_STEP

@@ -20,6 +20,7 @@ from slam.types import FloatArray, IntArray
 _NEXT_TO_NOTHING, _NEXT_TO_NONE = 2.0, 0.01
 # Keyframes: with more of them an earlier solution halves the work of the next one on the way.
 _MOST_FROM_NOTHING = 100
+_EXACT = 1e-8  # of a step
 _AT_ONCE = 1000  # loops, or pairs of them: their draws are 3 kB each
 _DRAWN_AT_ONCE = 10_000  # motions
 _DRAWS, _SEED = 64, 0  # enough to know a covariance of six numbers to a fifth
@@ -107,8 +108,13 @@ class MotionSystem:
         errors = self._errors(T_world_kf, chosen)
         return float(np.einsum("ni,nij,nj->", errors, self._information[chosen], errors))
 
-    def step(self, T_world_kf: FloatArray, loop_weights: FloatArray) -> tuple[FloatArray, float]:
-        """Return the (K, 4, 4) poses after a step with (L,) weights, and its largest number."""
+    def step(
+        self, T_world_kf: FloatArray, loop_weights: FloatArray, rest: float = _EXACT
+    ) -> tuple[FloatArray, float]:
+        """Return the (K, 4, 4) poses after a step with (L,) weights, and its largest number.
+
+        Of what pulls at the poses, a rest of such a share may be left to the next step.
+        """
         errors, sides = self._linearised(T_world_kf)
         information = self._information.copy()
         information[self.first_loop :] *= loop_weights[:, None, None]
@@ -118,7 +124,7 @@ class MotionSystem:
             weighted = J_a.transpose(0, 2, 1) @ information
             np.add.at(gradient, a, np.einsum("nij,nj->ni", weighted, errors))
             blocks += [weighted @ J_b for _, J_b in sides]
-        step = self._matrix.solved(blocks, -gradient)
+        step = self._matrix.solved(blocks, -gradient, rest)
         moved: FloatArray = T_world_kf @ se3.exp(step)
         return moved, float(np.abs(step).max())
 

@@ -11,6 +11,7 @@ from slam.pose_graph import GraphSolution, PoseGraph, solve, solve_beside
 from slam.pose_graph.large import solve_large
 from slam.pose_graph.motion_system import MotionSystem
 from slam.pose_graph.robust import solve_robustly
+from slam.pose_graph.second_opinion import Opinion
 from slam.types import FloatArray, Link, RelativePose
 
 KEYFRAMES_PER_ROUND = 30
@@ -147,6 +148,42 @@ def test_a_large_graph_goes_on_from_where_it_was_solved(walk, monkeypatch) -> No
     for k in first.T_world_kf:
         np.testing.assert_allclose(first.T_world_kf[k], second.T_world_kf[k], atol=1e-7)
         np.testing.assert_allclose(graph.T_world_kf[0], second.T_world_kf[0], atol=1e-9)
+
+
+@pytest.mark.parametrize(("may_differ", "is_foretold"), [(0.05, False), (0.02, True)])
+def test_one_loop_of_very_many_in_dispute_is_named_and_no_more(
+    walk, monkeypatch, may_differ, is_foretold
+) -> None:
+    graph = walk.graph(loops_of(walk)[0])
+    graph = replace(graph, solved=solve_beside(graph, PROBABILITY).T_world_kf)
+    asked = []
+
+    def second_opinion(graph, system, probability, kept, squared, cost):
+        asked.append(1)
+        return Opinion(kept, None, ())
+
+    monkeypatch.setattr("slam.pose_graph.large.second_opinion", second_opinion)
+    monkeypatch.setattr("slam.pose_graph.motion_system._MOST_FROM_NOTHING", 30)
+    monkeypatch.setattr("slam.pose_graph.large._MAY_DIFFER", may_differ)
+    one = np.arange(len(graph.loops)) == 7
+    monkeypatch.setattr("slam.pose_graph.large.contested", lambda *asked: one)
+    solution = solve_large(graph, PROBABILITY)
+    assert bool(asked) == is_foretold
+    assert is_foretold or "disagree on 1 of 30 loops" in solution.warnings[0]
+
+
+def test_many_loops_about_the_limit_do_not_hold_it_up(walk: Walk, monkeypatch) -> None:
+    loops = {}
+    for key in range(6000):
+        ref_id = key % KEYFRAMES_PER_ROUND
+        query_id = ref_id + KEYFRAMES_PER_ROUND
+        loops[key] = Link(ref_id, query_id, walk.loop(ref_id, query_id))
+    steps = []
+    step = MotionSystem.step
+    monkeypatch.setattr(MotionSystem, "step", lambda *asked: steps.append(1) or step(*asked))
+    solution = solve_beside(walk.graph(loops), PROBABILITY)
+    assert 0.93 < len(kept(solution)) / len(loops) < 0.97
+    assert len(steps) < 30
 
 
 def test_factors_of_an_earlier_step_lead_where_new_ones_do(walk, monkeypatch) -> None:
