@@ -19,8 +19,13 @@ _UNKNOWN = "-"
 _HEADER = ("", "level", "odometry", "without", "with", "of clean", "tracked", "loops", "false", "")
 
 
-def tolerated(clean: Outcome, trials: Sequence[Outcome]) -> float:
-    """Return the highest level up to which all are tolerated, 0 for none."""
+def tolerated(clean: Outcome, trials: Sequence[Outcome]) -> float | None:
+    """Return the highest level up to which all are tolerated, 0 for none.
+
+    None where that is unknown: nothing was tried, or the clean run has no error to compare with.
+    """
+    if _most_tolerated(clean) is None or not trials:
+        return None
     most = 0.0
     for each in trials:
         if not is_tolerated(clean, each):
@@ -31,11 +36,17 @@ def tolerated(clean: Outcome, trials: Sequence[Outcome]) -> float:
 
 def is_tolerated(clean: Outcome, outcome: Outcome) -> bool:
     """Whether a run under stress is about as good as the clean one."""
-    least = clean.ate_m if clean.has_truth else clean.ate_without_loops_m
-    if outcome.ate_m is None or least is None:
+    most = _most_tolerated(clean)
+    if outcome.ate_m is None or most is None:
         return False
-    is_near = outcome.ate_m <= (AS_CLEAN * least if clean.has_truth else least)
-    return is_near and outcome.tracked_share >= MOSTLY_TRACKED * clean.tracked_share
+    is_placed = outcome.tracked_share >= MOSTLY_TRACKED * clean.tracked_share
+    return outcome.ate_m <= most and is_placed
+
+
+def _most_tolerated(clean: Outcome) -> float | None:
+    if not clean.has_truth:
+        return clean.ate_without_loops_m
+    return None if clean.ate_m is None else AS_CLEAN * clean.ate_m
 
 
 def table(title: str, clean: Outcome, trials: Trials) -> Table:
@@ -104,7 +115,10 @@ def _metres(value: float | None) -> str:
 
 
 def _in_words(clean: Outcome, trials: Trials) -> str:
-    levels = ", ".join(f"{name} {tolerated(clean, some):g}" for name, some in trials.items())
+    found = {name: tolerated(clean, some) for name, some in trials.items()}
+    levels = ", ".join(
+        f"{name} unknown" if level is None else f"{name} {level:g}" for name, level in found.items()
+    )
     within = "within 10 % of the clean run's error"
     if not clean.has_truth:
         within = "no further from the clean run than that is without its loops"

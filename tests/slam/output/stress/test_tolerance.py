@@ -23,6 +23,10 @@ def test_tolerated_is_what_holds_up_to_there_with_most_frames():
     assert tolerated(CLEAN, [blurred(0.1, 0.02), blurred(0.2)]) == 0.0
     assert tolerated(CLEAN, [blurred(0.1), blurred(0.2, frames_tracked=80)]) == 0.1
     assert tolerated(CLEAN, [blurred(0.1, None)]) == 0.0
+    assert tolerated(CLEAN, []) is None
+    unknown = replace(CLEAN, ate_m=None)
+    assert tolerated(unknown, [blurred(0.1)]) is None
+    assert "blur unknown" in dict(table("", unknown, {"blur": [blurred(0.1)]}).notes)["tolerated"]
 
 
 def test_loops_that_do_harm_are_marked_and_so_is_a_warning():
