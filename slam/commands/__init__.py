@@ -6,6 +6,7 @@
 
 COMMANDS = {
     "compare": "show finished runs side by side: errors, loops, warnings, differing settings",
+    "merge": "make one map of saved ones, by loops between them",
     "more-loops": "look for loops that a run did not try, once its map is solved",
     "replay": "decide about the loops of a run again, with other settings and without its images",
     "stress": "make a recording worse step by step, and draw what is tolerated",

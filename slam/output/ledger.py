@@ -179,6 +179,12 @@ def ledger_line(loop: Decision, min_similarity: float) -> str:
     return json.dumps(asdict(_record(loop, min_similarity)), allow_nan=False)
 
 
+def renumbered(line: str, first: int) -> str:
+    """Return a line of the ledger of keyframes whose numbers begin with another one than 0."""
+    record = json.loads(line)
+    return json.dumps(record | {name: record[name] + first for name in ("query_id", "match_id")})
+
+
 def read_ledger(path: Path | str) -> tuple[LoopRecord, ...]:
     """Read back the loop decisions of a run, from its loops.jsonl or its folder.
 

@@ -22,7 +22,7 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.loops.submaps import SavedMap
 from slam.output.claimed_folder import locked, sync
-from slam.output.decision import decisions
+from slam.output.decision import Decision, decisions
 from slam.output.ledger import ledger_line
 from slam.output.map_folder.array_files import (
     mapped_array,
@@ -62,14 +62,15 @@ def saved_map(slam: Slam, result: SlamResult) -> SavedMap:
     for each in decisions(result, None)[len(earlier.attempts) if earlier else 0 :]:
         query_id, match_id = each.attempt.query_id, each.attempt.match_id
         if query_id in number and match_id in number:
-            attempt = replace(
-                each.attempt,
-                query_id=number[query_id],
-                match_id=number[match_id],
-                influence=None,  # on the keyframes of that run
-            )
-            lines.append(ledger_line(replace(each, attempt=attempt), result.min_similarity))
+            numbered = replace(each.attempt, query_id=number[query_id], match_id=number[match_id])
+            lines.append(line_of(replace(each, attempt=numbered), result.min_similarity))
     return replace(saved, ledger=(*(earlier.ledger if earlier else ()), *lines))
+
+
+def line_of(decision: Decision, min_similarity: float) -> str:
+    """Return a decision's line of a map's ledger, without what it did to the keyframes of a run."""
+    attempt = replace(decision.attempt, influence=None)
+    return ledger_line(replace(decision, attempt=attempt), min_similarity)
 
 
 def check_place(folder: Path, recognizer: PlaceRecognizer) -> None:
@@ -83,7 +84,7 @@ def check_place(folder: Path, recognizer: PlaceRecognizer) -> None:
     _refuse_foreign(folder)
     above = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):
-        raise SlamError(f"cannot write the map here; {_ANOTHER} with --save: {folder}")
+        raise SlamError(f"cannot write the map here; {_ANOTHER}: {folder}")
 
 
 def save_map(folder: Path, saved: SavedMap) -> None:
