@@ -259,7 +259,13 @@ class BackEnd:
             camera=the_map.camera,
             fingerprint=self.loop_closer.fingerprint,
             keyframes=tuple(
-                replace(self.keyframes[k], id=n, T_odom_cam=T_world_kf[k], segment=0)
+                replace(
+                    self.keyframes[k],
+                    id=n,
+                    T_odom_cam=T_world_kf[k],
+                    segment=0,
+                    camera=self.keyframes[k].camera or the_map.camera,
+                )
                 for k, n in number.items()
             ),
             sessions=sessions[placed],

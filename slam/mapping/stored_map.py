@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam.mapping.landmark_map import LandmarkMap, MappedKeyframe
 from slam.mapping.landmarks import UNSEEN, Landmarks
-from slam.types import Features, FloatArray
+from slam.types import Camera, Features, FloatArray
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -62,8 +62,15 @@ def arrays_of_landmarks(the_map: LandmarkMap) -> dict[str, NDArray[Any]]:
     }
 
 
-def map_of_arrays(arrays: Arrays, T_odom_kf: FloatArray, empty: LandmarkMap) -> LandmarkMap:
+def map_of_arrays(
+    arrays: Arrays,
+    T_odom_kf: FloatArray,
+    empty: LandmarkMap,
+    cameras: Sequence[Camera] | None = None,
+) -> LandmarkMap:
     """Return the map again, its keyframes at (K, 4, 4) poses, in one that was empty.
+
+    The K cameras are the map's, unless told.
 
     Raises:
         KeyError, ValueError, IndexError: the arrays are not what `arrays_of_map` returns.
@@ -71,7 +78,8 @@ def map_of_arrays(arrays: Arrays, T_odom_kf: FloatArray, empty: LandmarkMap) -> 
     counts = arrays["feature_count"]
     columns = [_parts(arrays[f"feature_{name}"], counts) for name in FEATURES]
     features = [Features(*each) for each in zip(*columns, strict=True)]
-    return _filled(empty, features, arrays, list(T_odom_kf))
+    taken_by = [None] * len(features) if cameras is None else cameras
+    return _filled(empty, features, arrays, list(T_odom_kf), taken_by)
 
 
 def _filled(
@@ -79,6 +87,7 @@ def _filled(
     features: Sequence[Features],
     arrays: Arrays,
     T_odom_kf: Sequence[FloatArray],
+    cameras: Sequence[Camera | None],
 ) -> LandmarkMap:
     """Return a map with keyframes that have features, and landmarks as `arrays_of_landmarks`."""
     counts, created = arrays["feature_count"], arrays["created_count"]
@@ -86,8 +95,8 @@ def _filled(
         raise ValueError("keyframes")
     seen = _parts(arrays["feature_landmark"], counts)
     made = _parts(arrays["created_landmark"], created)
-    empty.keyframes = [
-        MappedKeyframe(*each) for each in zip(features, seen, made, T_odom_kf, strict=True)
+    keyframes = [
+        MappedKeyframe(*each) for each in zip(features, seen, made, T_odom_kf, cameras, strict=True)
     ]
     columns = {name: arrays[f"landmark_{name}"] for name in _LANDMARKS}
     count = len(columns["positions_m"])
@@ -96,7 +105,7 @@ def _filled(
         raise ValueError("landmarks")
     first_keyframe = np.full(count, UNSEEN, np.int32)
     first_keyframe[arrays["created_landmark"]] = np.repeat(np.arange(len(created)), created)
-    empty.landmarks = Landmarks.of(**columns, first_keyframe=first_keyframe)
+    empty.take_over(Landmarks.of(**columns, first_keyframe=first_keyframe), keyframes)
     return empty
 
 
@@ -118,7 +127,8 @@ def side_by_side(maps: Sequence[LandmarkMap]) -> LandmarkMap:
     arrays = {name: np.concatenate(some) for name, some in parts.items()}
     mapped = [each for one in maps for each in one.keyframes]
     features, T_map_kf = [each.features for each in mapped], [each.T_map_cam for each in mapped]
-    return _filled(maps[0].copy(), features, arrays, T_map_kf)
+    cameras = [one.camera_of(each) for one in maps for each in one.keyframes]
+    return _filled(maps[0].copy(), features, arrays, T_map_kf, cameras)
 
 
 def part_of_map(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> LandmarkMap:

@@ -30,14 +30,15 @@ from slam.output.map_folder.array_files import (
     npy_parts,
     write_file,
 )
-from slam.output.map_folder.arrays import columns_of, map_of
+from slam.output.map_folder.arrays import cameras_of, columns_of, map_of
 from slam.result import SlamResult
 from slam.system import Slam
 from slam.types import Camera, SlamError
 
-VERSION = 1
+VERSION = 2
 """Of the layout: larger whenever a reader of the one before would be misled."""
 
+_OLDEST = 1  # of one camera
 _FORMAT = "loopclose map"
 _MANIFEST, _LEDGER = "manifest.json", "loops.jsonl"
 _ARRAYS, _PART = "arrays-", ".part-"  # a finished folder of arrays, and one that is being written
@@ -150,11 +151,12 @@ def load_map(folder: Path, recognizer: PlaceRecognizer, config: Config | None = 
             for name in files
             if name.endswith(".npy")
         }
-        camera = Camera(
-            **{**manifest["camera"], "distortion": tuple(manifest["camera"]["distortion"])}
-        )
+        cameras = [
+            Camera(**{**each, "distortion": tuple(each["distortion"])})
+            for each in manifest.get("cameras", [manifest.get("camera")])
+        ]
         ledger = (inside / _LEDGER).read_text(encoding="utf-8").splitlines()
-        return map_of(arrays, camera, manifest["fingerprint"], config or Config(), ledger)
+        return map_of(arrays, cameras, manifest["fingerprint"], config or Config(), ledger)
     except Exception as error:  # whatever arrays that do not fit each other lead to
         raise SlamError(f"the map is damaged ({cause_of(error)}); {_DAMAGED}: {folder}") from error
 
@@ -182,7 +184,7 @@ def _told(saved: SavedMap, name: str, files: _Files) -> str:
         "format": _FORMAT,
         "version": VERSION,
         "fingerprint": saved.fingerprint,
-        "camera": asdict(saved.camera),
+        "cameras": [asdict(each) for each in cameras_of(saved)],
         "keyframes": len(saved.keyframes),
         "arrays": name,
         "files": files,
@@ -202,12 +204,13 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     manifest = read_json(path, kind=SlamError)
     if not isinstance(manifest, dict) or manifest.get("format") != _FORMAT:
         raise SlamError(f"this is no manifest of a map: {path}")
-    if (version := manifest.get("version")) != VERSION:
+    if (version := manifest.get("version")) not in range(_OLDEST, VERSION + 1):
         raise SlamError(
             f"the map is of version {version}, and this reads {VERSION}; load it with the loopclose"
             f" that wrote it, or make the map again: {folder}"
         )
-    kinds = {"fingerprint": str, "camera": dict, "arrays": str, "files": dict}
+    of_cameras: dict[str, type] = {"camera": dict} if version == _OLDEST else {"cameras": list}
+    kinds = {"fingerprint": str, **of_cameras, "arrays": str, "files": dict}
     if any(not isinstance(manifest.get(name), kind) for name, kind in kinds.items()):
         raise SlamError(f"the manifest of the map is damaged; {_DAMAGED}: {folder}")
     names = (manifest["arrays"], *manifest["files"])

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Saved maps made one, by loops between them: found, weighed and adjusted to as those of a run."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -82,7 +83,7 @@ def merge_maps(
 
     Raises:
         SlamError: there is one map alone, one holds all keyframes of another, one is of another
-            recognizer or camera, or no loops join any two of them.
+            recognizer, or no loops join any two of them.
         RecognizerError: the recognizer cannot be told from others, or failed to compare.
     """
     _check(maps, fingerprint(recognizer))
@@ -141,8 +142,6 @@ def _check(maps: Mapping[str, SavedMap], made_by: str) -> None:
                 "the places of this map were embedded by another recognizer, whose embeddings"
                 f" cannot be compared: {name}"
             )
-        if each.camera != first.camera:
-            raise SlamError(f"this map is of another camera than the first: {name}")
     taken = {name: _taken(each) for name, each in maps.items()}
     for (one, of_one), (other, of_other) in combinations(taken.items(), 2):
         for within, of_within, around, of_around in (
@@ -159,7 +158,7 @@ def _check(maps: Mapping[str, SavedMap], made_by: str) -> None:
 def _taken(one: SavedMap) -> set[tuple[float, bytes]]:
     """Return what tells the keyframes of a map from those of others."""
     return {
-        (keyframe.timestamp_s, embedding.tobytes())
+        (keyframe.timestamp_s, hashlib.sha256(embedding.tobytes()).digest())
         for keyframe, embedding in zip(one.keyframes, one.embeddings, strict=True)
     }
 
@@ -178,7 +177,12 @@ def _beside_each_other(maps: Sequence[SavedMap]) -> SavedMap:
         camera=maps[0].camera,
         fingerprint=maps[0].fingerprint,
         keyframes=tuple(
-            replace(keyframe, id=keyframe.id + start, segment=segment)
+            replace(
+                keyframe,
+                id=keyframe.id + start,
+                segment=segment,
+                camera=keyframe.camera or each.camera,
+            )
             for segment, (start, each) in enumerate(numbered)
             for keyframe in each.keyframes
         ),

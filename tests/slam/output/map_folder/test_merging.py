@@ -14,8 +14,9 @@ from slam.output.ledger import read_ledger
 from slam.output.map_folder.folder import load_map, save_map, saved_map
 from slam.output.map_folder.merging import merge_maps
 from slam.system import Slam
-from slam.types import SlamError
+from slam.types import Camera, SlamError
 
+OTHER_CAMERA = Camera(350, 260, 328.125, 328.125, 174.5, 129.5)
 FIRST = 30
 """Frames of the first map; then the camera comes back."""
 
@@ -32,11 +33,11 @@ def upside_down(frame):
 
 
 @pytest.fixture(scope="module")
-def place(frames, sequence, tmp_path_factory):
-    """Return a folder with two maps that show one room, and one that shows something else."""
+def place(frames, sequence, by_another_camera, tmp_path_factory):
+    """Return a folder with maps of a room by two cameras, and one that shows something else."""
     folder = tmp_path_factory.mktemp("maps")
     save_map(folder / "there", map_of(frames[:FIRST:2], sequence.camera))
-    save_map(folder / "back", map_of(frames[FIRST::2], sequence.camera))
+    save_map(folder / "back", map_of(map(by_another_camera, frames[FIRST::2]), OTHER_CAMERA))
     save_map(folder / "else", map_of(map(upside_down, frames[:6:2]), sequence.camera))
     return folder
 
