@@ -135,13 +135,26 @@ def load_map(folder: Path, recognizer: PlaceRecognizer, config: Config | None = 
         RecognizerError: the recognizer has neither a fingerprint nor a source file.
     """
     manifest = _read_manifest(folder)
-    files: _Files = manifest["files"]
     if manifest["fingerprint"] != fingerprint(recognizer):
         raise SlamError(
             "the places of this map were embedded by another recognizer, whose embeddings cannot be"
             f" compared with those of {type(recognizer).__name__!r}; load it with the one that made"
-            f" it: {folder}"
+            f" it, or embed it anew with run_slam reembed: {folder}"
         )
+    return _read(folder, manifest, config)
+
+
+def read_map(folder: Path, config: Config | None = None) -> SavedMap:
+    """Read a map back, whatever recognizer embedded its places, as `load_map` does.
+
+    Raises:
+        SlamError: it is missing, damaged or of another version.
+    """
+    return _read(folder, _read_manifest(folder), config)
+
+
+def _read(folder: Path, manifest: dict[str, Any], config: Config | None) -> SavedMap:
+    files: _Files = manifest["files"]
     inside = folder / manifest["arrays"]
     if wrong := _wrong_file(inside, files):
         raise SlamError(f"{wrong} of the map is missing or damaged; {_DAMAGED}: {folder}")
