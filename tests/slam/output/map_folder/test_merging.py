@@ -62,7 +62,7 @@ def run(*typed):
 
 
 def test_maps_become_one_where_loops_join_them_and_others_are_left_apart(
-    place, frames, T_first_cam, tmp_path, capsys
+    place, frames, sequence, T_first_cam, tmp_path, capsys
 ):
     before = content(place)
     asked = [place / name for name in ("else", "there", "back")]
@@ -88,13 +88,8 @@ def test_maps_become_one_where_loops_join_them_and_others_are_left_apart(
     told = capsys.readouterr()
     assert f"there - {place / 'back'}: {len(across)} loops, of" in told.out
     assert f"{place / 'else'} is left apart: of" in told.err
-
-
-def test_a_merged_map_can_be_gone_on_from(maps, frames, sequence):
-    del maps["else"]
-    earlier = merge_maps(maps, GradientRecognizer()).the_map
-    slam = Slam(sequence.camera, GradientRecognizer(), earlier=earlier)
-    assert slam.process(frames[10]).segment == 0
+    later = Slam(sequence.camera, GradientRecognizer(), earlier=merged)
+    assert later.process(frames[10]).segment == 0
 
 
 def test_what_shares_nothing_is_not_merged(maps):
