@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from slam.output.map_folder.folder import load_map as load_map
     from slam.output.map_folder.folder import save_map as save_map
     from slam.output.map_folder.folder import saved_map as saved_map
+    from slam.output.map_folder.merging import merge_maps as merge_maps
     from slam.output.run_folder import write_run as write_run
     from slam.pose_graph.from_g2o import solve_g2o as solve_g2o
     from slam.result import SlamResult as SlamResult
@@ -57,6 +58,7 @@ _HOME = {
     "Trajectory": "slam.types",
     "compare_drift": "slam.evaluation.drift",
     "load_map": "slam.output.map_folder.folder",
+    "merge_maps": "slam.output.map_folder.merging",
     "open_sequence": "slam.datasets",
     "read_ledger": "slam.output.ledger",
     "read_tum": "slam.evaluation.trajectory",

@@ -37,7 +37,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   see also run_slam replay, more-loops, stress
+  run_slam compare runs/a runs/b   or merge, more-loops, reembed, replay, stress
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """

@@ -67,10 +67,8 @@ class Slam:
         What does not fit into memory goes to a file without a name in the folder `scratch`, by
         default the system's for temporary files. An earlier map is gone on from, and taken over:
         load it anew for another run. Its frame is the world. A fixed one is not extended: the
-        camera is placed where it shows what the camera sees, and nowhere else.
-
-        Raises:
-            SlamError: the earlier map is of another camera.
+        camera is placed where it shows what the camera sees, and nowhere else. Another camera may
+        have made it.
         """
         load_compiled()
         self._camera = camera
@@ -83,7 +81,6 @@ class Slam:
         self.earlier = earlier
         self._is_fixed = is_fixed
         if earlier is not None:
-            _check_camera(camera, earlier)
             self._back_end.load(earlier)
             self._odometry.load(earlier.keyframes, earlier.the_map, is_fixed)
         self._last_s = -np.inf  # of the last frame
@@ -514,16 +511,6 @@ class Slam:
         if not self._is_smoothed:
             return trajectory
         return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
-
-
-def _check_camera(camera: Camera, earlier: SavedMap) -> None:
-    one, other = vars(camera), vars(earlier.camera)
-    differing = [name for name in one if one[name] != other[name]]
-    if differing:
-        told = ", ".join(f"{name} {other[name]}, not {one[name]}" for name in differing)
-        raise SlamError(
-            f"the map is of another camera, with {told}; give that with --input.camera FILE.toml"
-        )
 
 
 def _in_one_frame(frames: LoggedFrames, T_any_odom: Mapping[int, FloatArray]) -> FloatArray:

@@ -106,6 +106,7 @@ class Keyframe:
         preview: the frame at `PREVIEW_SCALE`, for the report and the fused point cloud.
         turning_rad_s: how fast the camera turned; a rolling shutter bends such an image.
         segment: a number per stretch in which the camera was not lost and no session ended.
+        camera: what took it where that is not the run's camera: those of a map name theirs.
     """
 
     id: int
@@ -115,6 +116,7 @@ class Keyframe:
     preview: Frame
     turning_rad_s: float = 0.0
     segment: int = 0
+    camera: Camera | None = None
 
 
 class RejectionReason(StrEnum):

@@ -115,7 +115,7 @@ def _nearness(a: Features, b: Features, camera: Camera) -> float:
 
     The motion starts from the match that agrees with most others, and these.
     """
-    matches, agree = agreements(a, strongest(a), b, camera)
+    matches, agree = agreements(a, strongest(a), b, (camera, camera))
     if len(matches) == 0:
         return 0.0
     points, others = a.points_m[matches[:, 0]], b.points_m[matches[:, 1]]

@@ -6,7 +6,9 @@
 
 COMMANDS = {
     "compare": "show finished runs side by side: errors, loops, warnings, differing settings",
+    "merge": "make one map of saved ones, by loops between them",
     "more-loops": "look for loops that a run did not try, once its map is solved",
+    "reembed": "embed the places of a saved map by another recognizer",
     "replay": "decide about the loops of a run again, with other settings and without its images",
     "stress": "make a recording worse step by step, and draw what is tolerated",
 }

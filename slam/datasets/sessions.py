@@ -63,9 +63,9 @@ def _check_camera(before: Sequence, after: Sequence) -> None:
             ", ".join(f"{name} {camera[name]}" for name in differing) for camera in (one, other)
         )
         raise SlamError(
-            f"recordings of different cameras cannot be one map: {before.name} has {has},"
-            f" {after.name} {instead}; run them one by one, or give the camera of both with"
-            " --input.camera FILE.toml"
+            f"recordings of different cameras cannot be one run: {before.name} has {has},"
+            f" {after.name} {instead}; --save the map of one and --load it for the other, or give"
+            " the camera of both with --input.camera FILE.toml"
         )
 
 

@@ -13,9 +13,14 @@ _OCTAVES_APART = 1.5
 
 
 class FeatureGrid:
-    """The features of one frame, sorted into the cells of a grid."""
+    """The features of one frame, sorted into the cells of a grid.
+
+    Attributes:
+        camera: what took it.
+    """
 
     def __init__(self, features: Features, camera: Camera) -> None:
+        self.camera = camera
         self._octaves = np.asarray(features.octaves, np.uint8)
         self._pixels = np.ascontiguousarray(features.undistorted_px, np.float32)
         self._words = words_of(features.descriptors)

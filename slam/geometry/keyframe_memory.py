@@ -116,6 +116,13 @@ def kept_frame(
     return _KeptFrame(timestamp_s, shape, depth_scale, color.tobytes, depth.tobytes)
 
 
+def full_size(rgb: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return a small image enlarged to (H, W) pixels; what was averaged away stays away."""
+    height, width = shape
+    enlarged = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(enlarged, np.uint8)
+
+
 class _KeptFrame(Frame):
     """A frame whose images are decoded anew whenever they are asked for."""
 

@@ -110,13 +110,22 @@ class Correspondences:
 
     @staticmethod
     def of(
-        reference: Features, query: Features, pairs: NDArray[np.int64], camera: Camera
+        reference: Features,
+        query: Features,
+        pairs: NDArray[np.int64],
+        camera: Camera,
+        reference_camera: Camera | None = None,
     ) -> "Correspondences":
-        """Collect the measurements of (M, 2) index pairs (reference, query)."""
+        """Collect the measurements of (M, 2) index pairs (reference, query).
+
+        The reference may be of another camera than the query; all is as if that had seen it.
+        """
         i, j = pairs.T
+        other = reference_camera or camera
+        seen_by_ref = Observations.of(reference, i, other).seen_by(other, camera)
         return Correspondences(
             query_view=_View(_points_m(reference, i), Observations.of(query, j, camera)),
-            reference_view=_View(_points_m(query, j), Observations.of(reference, i, camera)),
+            reference_view=_View(_points_m(query, j), seen_by_ref),
         )
 
     def select(self, mask: NDArray[np.bool_]) -> "Correspondences":

@@ -23,13 +23,18 @@ _ENOUGH_DEPTH = 0.5  # share of the matches
 
 
 def estimate_relative_pose(
-    reference: Features, query: Features, camera: Camera, config: VerificationConfig
+    reference: Features,
+    query: Features,
+    camera: Camera,
+    config: VerificationConfig,
+    reference_camera: Camera | None = None,
 ) -> Verification:
     """Return the motion `T_ref_query` between two views, or why there is none, with the evidence.
 
     Descriptors propose matches, PnP RANSAC finds the motion most of them agree on, and a robust
     least-squares refinement over both views' pixels and depths polishes it. Its information is that
-    of the matches alone; `loop_noise` adds what the camera's model leaves out.
+    of the matches alone; `loop_noise` adds what the camera's model leaves out. The camera is the
+    query's, and the reference's, too, unless told.
     """
     pairs = match(reference, query, config.max_descriptor_distance)
     has_depth = np.isfinite(reference.depth_m[pairs[:, 0]])
@@ -38,7 +43,8 @@ def estimate_relative_pose(
     # what other views tell of the reference's points is needed where its depth does not reach.
     is_enough = np.count_nonzero(has_depth) >= _ENOUGH_DEPTH * np.count_nonzero(is_placed)
     pairs = pairs[has_depth if is_enough else is_placed]
-    outcome, inlier_mask, checks = _outcome(reference, query, pairs, camera, config)
+    cameras = (reference_camera or camera, camera)
+    outcome, inlier_mask, checks = _outcome(reference, query, pairs, cameras, config)
     pixels = np.hstack([reference.pixels[pairs[:, 0]], query.pixels[pairs[:, 1]]])
     return Verification(outcome, pixels, inlier_mask, reference.points_m[pairs[:, 0]], checks)
 
@@ -47,10 +53,11 @@ def _outcome(
     reference: Features,
     query: Features,
     pairs: NDArray[np.int64],
-    camera: Camera,
+    cameras: tuple[Camera, Camera],
     config: VerificationConfig,
 ) -> tuple[RelativePose | Rejection, NDArray[np.bool_], tuple[Check, ...]]:
     """Return the motion or why there is none, the (M,) mask of the pairs that agree, the checks."""
+    reference_camera, camera = cameras
     nobody = np.zeros(len(pairs), dtype=bool)
     needed = max(config.min_matches, _MIN_FOR_POSE)
     enough = Check.at_least(RejectionReason.FEW_MATCHES, len(pairs), needed)
@@ -64,13 +71,14 @@ def _outcome(
         nothing = Check(RejectionReason.NO_POSE, 0, config.min_inliers, passed=False)
         return Rejection(nothing.reason, 0, nothing.needed), nobody, (enough, nothing)
     T_ref_query, inlier_mask = found
-    correspondences = Correspondences.of(reference, query, pairs, camera)
+    correspondences = Correspondences.of(reference, query, pairs, camera, reference_camera)
     if np.count_nonzero(inlier_mask) >= _MIN_FOR_POSE:
         # RANSAC's pose comes from three matches; a refined one knows better which others agree.
         T_ref_query, _ = refine(T_ref_query, correspondences.select(inlier_mask), camera)
         lengths = residual_lengths(T_ref_query, correspondences, camera)
         inlier_mask = lengths < config.max_reprojection_px
-    checks = (enough, *_checks(reference.pixels[pairs[:, 0]], inlier_mask, camera, config))
+    pixels = reference.pixels[pairs[:, 0]]
+    checks = (enough, *_checks(pixels, inlier_mask, reference_camera, config))
     if rejection := next((each.rejection for each in checks if each.rejection), None):
         return rejection, inlier_mask, checks
     refined = refine(T_ref_query, correspondences.select(inlier_mask), camera)

@@ -76,6 +76,17 @@ class Observations:
         """Keep some of the points, by an (M,) mask or by indices."""
         return Observations(self.seen[chosen], self.sigma[chosen])
 
+    def seen_by(self, camera: Camera, other: Camera) -> "Observations":
+        """Return what a camera saw as another one at its place would have, with the same errors.
+
+        Whitened they are the same, so that one camera stands for many.
+        """
+        if camera is other or pinhole(camera) == pinhole(other):
+            return self
+        zoom = np.array([other.fx / camera.fx, other.fy / camera.fy, other.fx / camera.fx])
+        centre, there = (np.array([each.cx, each.cy, 0.0]) for each in (camera, other))
+        return Observations((self.seen - centre) * zoom + there, self.sigma * zoom)
+
     @staticmethod
     def joined(parts: Sequence["Observations"]) -> "Observations":
         """Return all of them as one."""

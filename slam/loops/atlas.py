@@ -75,14 +75,14 @@ class Atlas:
         self.loops: Counter[int] = Counter()
         self._home = -1  # a keyframe of the earlier map that this one goes on from, if any
 
-    def load(self, saved: SavedMap) -> None:
-        """Begin with an earlier map, which is the world however much is added; loops by number."""
+    def load(self, saved: SavedMap, is_world: bool = True) -> None:
+        """Begin with an earlier map, its loops by number; default: it stays the world."""
         self._keyframes = list(saved.keyframes)
         self._T_odom_kf = [each.T_odom_cam for each in saved.keyframes]
         self._links = list(saved.links)
         self._loops = dict(enumerate(saved.loops))
         self.loops.update(saved.keyframes[each.query_id].segment for each in saved.loops)
-        self._home = saved.keyframes[0].id
+        self._home = saved.keyframes[0].id if is_world else -1
 
     def add(
         self, keyframe: Keyframe, links: Sequence[Link], attempts: Mapping[int, LoopAttempt]

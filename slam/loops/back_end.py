@@ -104,10 +104,13 @@ class BackEnd:
         self._evidence = Evidence()
         self.corrections = [Correction(0, -1, {}, {})]
 
-    def load(self, saved: SavedMap) -> None:
-        """Begin with an earlier map, as if its keyframes had been taken in, where it has them."""
+    def load(self, saved: SavedMap, is_world: bool = True) -> None:
+        """Begin with an earlier map, as if its keyframes had been taken in, where it has them.
+
+        By default it is the world, however much is added.
+        """
         self.loop_closer.load(saved)
-        self._atlas.load(saved)
+        self._atlas.load(saved, is_world)
         self.keyframes = list(saved.keyframes)
         self.attempts = list(saved.attempts)
         T_world_kf = {each.id: each.T_odom_cam for each in saved.keyframes}
@@ -170,6 +173,7 @@ class BackEnd:
         """Take loop candidates that were looked at once all keyframes were taken in."""
         self._atlas.add_loops(dict(enumerate(attempts, len(self.attempts))))
         self.attempts.extend(attempts)
+        self._evidence.tidy(self.attempts, len(self.keyframes))
 
     def catch_up(self) -> None:
         """Wait for the corrections by all loops that were closed so far.
@@ -255,7 +259,13 @@ class BackEnd:
             camera=the_map.camera,
             fingerprint=self.loop_closer.fingerprint,
             keyframes=tuple(
-                replace(self.keyframes[k], id=n, T_odom_cam=T_world_kf[k], segment=0)
+                replace(
+                    self.keyframes[k],
+                    id=n,
+                    T_odom_cam=T_world_kf[k],
+                    segment=0,
+                    camera=self.keyframes[k].camera or the_map.camera,
+                )
                 for k, n in number.items()
             ),
             sessions=sessions[placed],

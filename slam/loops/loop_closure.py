@@ -316,12 +316,15 @@ class LoopCloser:
         self, query: Keyframe, match: Keyframe
     ) -> tuple[Verification, RelativePose | Rejection, tuple[Check, ...]]:
         config = self._verification_config
-        verification = estimate_relative_pose(match.features, query.features, self._camera, config)
+        ours, theirs = (each.camera or self._camera for each in (query, match))
+        verification = estimate_relative_pose(match.features, query.features, ours, config, theirs)
         outcome, checks = verification.outcome, verification.checks
         if isinstance(outcome, RelativePose):
             depth_m = typical_depth_m(match.features, query.features)
             turning = (match.turning_rad_s, query.turning_rad_s)
-            outcome = loop_noise(outcome, self._camera, depth_m, *turning)
+            # Of two cameras the worse one tells what their models leave out.
+            noisy = [loop_noise(outcome, each, depth_m, *turning) for each in (ours, theirs)]
+            outcome = max(noisy, key=translation_sigma_m)
             share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
             certain = Check(RejectionReason.UNCERTAIN_MOTION, share, most, bool(share <= most))
             checks += (certain,)

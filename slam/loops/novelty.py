@@ -55,17 +55,19 @@ class Novelty:
         return self.kept if self._count == _ALL_KEPT else None
 
     def _shows_something_new(self, keyframe: Keyframe, attempts: Sequence[LoopAttempt]) -> bool:
+        width = (keyframe.camera or self._camera).width
         seen = np.zeros(0, np.int64)
         for each in attempts:
             if each.rejection is None and each.verification and each.match_id in self._kept:
                 pixels = each.verification.pixels[each.verification.inlier_mask, 2:]
-                seen = np.append(seen, np.unique(self._cells(pixels)))
-        shown = np.unique(self._cells(keyframe.features.pixels))
+                seen = np.append(seen, np.unique(_cells(pixels, width)))
+        shown = np.unique(_cells(keyframe.features.pixels, width))
         cells, by = np.unique(seen, return_counts=True)
         seen_again = int(np.isin(shown, cells[by >= _SEEN_BY]).sum())
         return seen_again < _SEEN_SHARE * max(1, len(shown))
 
-    def _cells(self, pixels: NDArray[np.floating]) -> IntArray:
-        """Return the number of the part of the image that (N, 2) pixels are in."""
-        cells = (pixels * (_CELLS / self._camera.width)).astype(np.int64)
-        return np.asarray(cells[:, 0] + 1000 * cells[:, 1])
+
+def _cells(pixels: NDArray[np.floating], width: int) -> IntArray:
+    """Return the number of the part of the image, so wide, that (N, 2) pixels are in."""
+    cells = (pixels * (_CELLS / width)).astype(np.int64)
+    return np.asarray(cells[:, 0] + 1000 * cells[:, 1])

@@ -33,7 +33,7 @@ class SecondLook:
     """
 
     def __init__(self, camera: Camera, recognizer: CheckedRecognizer, most: int) -> None:
-        """Look with one camera, and choose so many at most."""
+        """Look with one camera, unless keyframes name theirs, and choose so many at most."""
         self._camera = camera
         self._recognizer = recognizer
         self._most = most
@@ -49,7 +49,8 @@ class SecondLook:
             scores, needed = self._recognizer.rerank(query.preview.rgb, images), _ABOVE_NOTHING
         else:
             ours, features = query.features, [each.features for each in candidates]
-            scores = rerank(ours, features, self._camera).astype(np.float64)
+            camera, *cameras = (each.camera or self._camera for each in [query, *candidates])
+            scores = rerank(ours, features, camera, cameras).astype(np.float64)
             # Where depth does not reach, little in common says little.
             has_depth = all(_share_with_depth(each) >= _ENOUGH_DEPTH for each in [*features, ours])
             needed = float(NEEDED) if has_depth else 0.0
@@ -61,15 +62,25 @@ class SecondLook:
         return [(k, Check(reason, float(scores[k]), needed, k in chosen)) for k in order]
 
 
-def rerank(query: Features, candidates: Sequence[Features], camera: Camera) -> NDArray[np.int64]:
+def rerank(
+    query: Features,
+    candidates: Sequence[Features],
+    camera: Camera,
+    cameras: Sequence[Camera] | None = None,
+) -> NDArray[np.int64]:
     """Return (C,), how many features of the query each candidate shows as in one rigid scene.
 
     The query's strong features are matched with all of a candidate. Two matches agree where their
     points are as far apart in one view as in the other, which depth tells without a motion. The
-    count is the largest k such that k matches agree with k others each.
+    count is the largest k such that k matches agree with k others each. The candidates' cameras are
+    the query's unless told.
     """
     strong = strongest(query)
-    counts = [_count_rigid(query, strong, each, camera) for each in candidates]
+    of_each = [camera] * len(candidates) if cameras is None else cameras
+    counts = [
+        _count_rigid(query, strong, candidate, (camera, other))
+        for candidate, other in zip(candidates, of_each, strict=True)
+    ]
     return np.array(counts, dtype=np.int64)
 
 
@@ -93,11 +104,15 @@ def strongest(features: Features) -> NDArray[np.int64]:
 
 
 def agreements(
-    query: Features, strong: NDArray[np.int64], candidate: Features, camera: Camera
+    query: Features,
+    strong: NDArray[np.int64],
+    candidate: Features,
+    cameras: tuple[Camera, Camera],
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return (M, 2) matches of features with depth, and (M, M) which of them agree.
 
-    Of the query only strong ones are matched. A match agrees with itself, too.
+    Of the query only strong ones are matched; its camera comes first. A match agrees with itself,
+    too.
     """
     placed = np.flatnonzero(np.isfinite(candidate.depth_m))
     pairs = match_descriptors(
@@ -106,15 +121,15 @@ def agreements(
     ours, theirs = strong[pairs[:, 0]], placed[pairs[:, 1]]
     our_points_m, their_points_m = query.points_m[ours], candidate.points_m[theirs]
     difference_m = np.abs(_distances(our_points_m) - _distances(their_points_m))
-    variance = _variance(query, ours, camera) + _variance(candidate, theirs, camera)
+    variance = _variance(query, ours, cameras[0]) + _variance(candidate, theirs, cameras[1])
     allowed_m = _SLACK_M + _STANDARD_DEVIATIONS * np.sqrt(variance[:, None] + variance)
     return np.column_stack([ours, theirs]), difference_m < allowed_m
 
 
 def _count_rigid(
-    query: Features, strong: NDArray[np.int64], candidate: Features, camera: Camera
+    query: Features, strong: NDArray[np.int64], candidate: Features, cameras: tuple[Camera, Camera]
 ) -> int:
-    _, agree = agreements(query, strong, candidate, camera)
+    _, agree = agreements(query, strong, candidate, cameras)
     agreeing = np.sort(np.count_nonzero(agree, axis=1) - 1)[::-1]  # but itself
     return int(np.count_nonzero(agreeing > np.arange(len(agreeing))))
 

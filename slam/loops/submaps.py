@@ -89,7 +89,7 @@ class SavedMap:
     """A map for later runs: the keyframes that have a place, what joins them, and what they show.
 
     Attributes:
-        camera: the camera.
+        camera: of the recording that it began with; keyframes name theirs.
         fingerprint: of the recognizer that made the embeddings.
         keyframes: K, numbered from 0; T_odom_cam is in the map's frame, and all are one segment.
         sessions: (K,) the number of the recording that each is from.

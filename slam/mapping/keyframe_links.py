@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.geometry import se3
-from slam.geometry.motion_noise import link_noise, typical_depth_m
-from slam.geometry.reprojection import Observations, robust_weights
+from slam.geometry.motion_noise import link_noise, loop_noise, typical_depth_m
+from slam.geometry.reprojection import robust_weights
 from slam.mapping.bundle_equations import inverses
 from slam.mapping.landmark_map import LandmarkMap
 from slam.types import FloatArray, IntArray, Keyframe, Link, RelativePose
@@ -28,7 +28,10 @@ def covisible_links(
     def link(ref: Keyframe, motion: RelativePose) -> Link:
         depth_m = typical_depth_m(ref.features, new.features)
         turning = (ref.turning_rad_s, new.turning_rad_s)
-        return Link(ref.id, new.id, link_noise(motion, the_map.camera, depth_m, *turning))
+        # Another camera's model leaves out other things.
+        is_same = ref.camera in (None, the_map.camera)
+        with_noise = link_noise if is_same else loop_noise
+        return Link(ref.id, new.id, with_noise(motion, the_map.camera, depth_m, *turning))
 
     motions = [(ref, motion_between(the_map, ref.id, new.id)) for ref in covisible]
     links = tuple(link(ref, motion) for ref, motion in motions if motion)
@@ -70,7 +73,7 @@ def _point_information(
     """Return (N, 3, 3), what a keyframe's features say of where their landmarks are, map axes."""
     keyframe = the_map.keyframes[keyframe_id]
     points_m = se3.transform(se3.inverse(keyframe.T_map_cam), the_map.landmarks.positions_m[ids])
-    measured = Observations.of(keyframe.features, features, the_map.camera)
+    measured = the_map.measured(keyframe_id).select(features)
     residuals, by_point = measured.residuals(points_m, the_map.camera)
     J = np.sqrt(robust_weights(residuals))[:, :, None] * by_point @ keyframe.T_map_cam[:3, :3].T
     return np.asarray(J.transpose(0, 2, 1) @ J)

@@ -30,32 +30,50 @@ class MappedKeyframe:
         landmark_of: (N,) int32, the landmark that each feature shows, UNSEEN where none.
         created_ids: int32 ids of the landmarks that were created from its features.
         T_map_cam: (4, 4).
+        camera: what took it where that is not the map's camera.
     """
 
     features: Features
     landmark_of: NDArray[np.int32]
     created_ids: NDArray[np.int32]
     T_map_cam: FloatArray
+    camera: Camera | None = None
 
 
 class LandmarkMap:
-    """Landmarks and keyframes in one frame of reference."""
+    """Landmarks and keyframes in one frame of reference.
+
+    Attributes:
+        camera: of the keyframes that name no other; measurements of all are as if it had made them.
+        landmarks: what is seen.
+        keyframes: what sees it.
+    """
 
     def __init__(self, camera: Camera, levels: int, max_descriptor_distance: int) -> None:
         self.camera = camera
         self.landmarks = Landmarks()
         self.keyframes: list[MappedKeyframe] = []
+        self._has_other_cameras = False
         self._levels = levels
         self._max_distance = max_descriptor_distance
 
     def copy(self) -> "LandmarkMap":
         """Return a map that may be changed without changing this one."""
         copied = LandmarkMap(self.camera, self._levels, self._max_distance)
-        copied.landmarks = deepcopy(self.landmarks)
-        copied.keyframes = [
-            replace(each, landmark_of=each.landmark_of.copy()) for each in self.keyframes
-        ]
+        copied.take_over(
+            deepcopy(self.landmarks),
+            [replace(each, landmark_of=each.landmark_of.copy()) for each in self.keyframes],
+        )
         return copied
+
+    def take_over(self, landmarks: Landmarks, keyframes: list[MappedKeyframe]) -> None:
+        """Begin with landmarks and keyframes of another map, some of other cameras perhaps."""
+        self.landmarks, self.keyframes = landmarks, keyframes
+        self._has_other_cameras = any(self.camera_of(each) != self.camera for each in keyframes)
+
+    def camera_of(self, keyframe: MappedKeyframe) -> Camera:
+        """Return what took a keyframe."""
+        return keyframe.camera or self.camera
 
     def search(
         self, grid: FeatureGrid, T_map_cam: FloatArray, ids: IntArray, radius_px: float
@@ -65,11 +83,11 @@ class LandmarkMap:
         The camera is thought to be at (4, 4) T_map_cam. Landmarks with (P,) ids are looked for
         within a radius that holds on the finest pyramid level and is larger on coarser ones.
         """
-        table, camera = self.landmarks, self.camera
+        table, camera = self.landmarks, grid.camera
         in_view, expected_px, octaves = _expected_places(
             table.positions_m,
             table.directions,
-            table.distances_m,
+            self._distances_m(ids, camera),
             table.octaves,
             ids,
             T_map_cam,
@@ -86,6 +104,15 @@ class LandmarkMap:
         )
         return np.column_stack([in_view[pairs[:, 0]], pairs[:, 1]])
 
+    def _distances_m(self, ids: IntArray, camera: Camera) -> NDArray[np.float32]:
+        """Return (P,) from how far a camera would see landmarks as large as they were last seen."""
+        distances_m = self.landmarks.distances_m[ids]
+        if not self._has_other_cameras:
+            return distances_m
+        newest, which = np.unique(self.landmarks.observers[ids].max(axis=1), return_inverse=True)
+        focal_px = [self.camera_of(self.keyframes[k]).fx for k in newest]
+        return distances_m * (camera.fx / np.array(focal_px, np.float32))[which]
+
     def add_keyframe(self, features: Features, T_map_cam: FloatArray, pairs: IntArray) -> int:
         """Add a keyframe that sees (M, 2) pairs (landmark id, feature) and return its id."""
         new_id, count = len(self.keyframes), len(features.pixels)
@@ -96,8 +123,12 @@ class LandmarkMap:
 
     def measured(self, keyframe_id: int) -> Observations:
         """Return what a keyframe measured of all of its features."""
-        features = self.keyframes[keyframe_id].features
-        return Observations.of(features, np.arange(len(features.pixels)), self.camera)
+        keyframe = self.keyframes[keyframe_id]
+        return self._measured(keyframe, np.arange(len(keyframe.features.pixels)))
+
+    def _measured(self, keyframe: MappedKeyframe, index: IntArray) -> Observations:
+        camera = self.camera_of(keyframe)
+        return Observations.of(keyframe.features, index, camera).seen_by(camera, self.camera)
 
     def add_landmarks(self, keyframe_id: int) -> IntArray:
         """Make landmarks of a keyframe's features that have depth and show none; return the ids."""
@@ -123,8 +154,8 @@ class LandmarkMap:
         mine, others = mine[pairs[:, 0]], others[pairs[:, 1]]
         points_m, is_sound = triangulate(
             se3.inverse(keyframe.T_map_cam) @ other.T_map_cam,
-            Observations.of(keyframe.features, mine, self.camera),
-            Observations.of(other.features, others, self.camera),
+            self._measured(keyframe, mine),
+            self._measured(other, others),
             self.camera,
         )
         positions_m = se3.transform(keyframe.T_map_cam, points_m[is_sound])
@@ -147,11 +178,11 @@ class LandmarkMap:
         keyframe = self.keyframes[keyframe_id]
         seen = self.landmarks.distinct(keyframe.landmark_of)
         ids = ids[self.landmarks.is_alive[ids] & ~is_among(ids, seen)]
-        grid = FeatureGrid(keyframe.features, self.camera)
+        grid = FeatureGrid(keyframe.features, self.camera_of(keyframe))
         pairs = self.search(grid, keyframe.T_map_cam, ids, radius_px)
         T_cam_map = se3.inverse(keyframe.T_map_cam)
         points_cam_m = se3.transform(T_cam_map, self.landmarks.positions_m[pairs[:, 0]])
-        measured = Observations.of(keyframe.features, pairs[:, 1], self.camera)
+        measured = self._measured(keyframe, pairs[:, 1])
         pairs = pairs[measured.agree(points_cam_m, self.camera)]
         there = self.landmarks.resolve(keyframe.landmark_of[pairs[:, 1]])
         is_free = there == UNSEEN
@@ -240,12 +271,14 @@ def _expected_places(
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return (M,) those of (P,) landmarks that a camera at (4, 4) T_map_cam should see, and where.
 
-    That is at (M, 2) pixels, on (M,) pyramid levels, which may lie between two.
+    That is at (M, 2) pixels, on (M,) pyramid levels, which may lie between two. The (P,) distances
+    are those of the ids, the other columns those of all landmarks.
     """
     fx, fy, cx, cy = focal_and_centre_px
     places, levels_there = np.empty((len(ids), 2)), np.empty(len(ids))
     in_view, count = np.empty(len(ids), np.int64), 0
-    for k in ids:
+    for i in range(len(ids)):
+        k = ids[i]
         ray_x = positions_m[k, 0] - T_map_cam[0, 3]
         ray_y = positions_m[k, 1] - T_map_cam[1, 3]
         ray_z = positions_m[k, 2] - T_map_cam[2, 3]
@@ -262,7 +295,7 @@ def _expected_places(
         if not (0.0 <= u < size_px[0] and 0.0 <= v < size_px[1]):
             continue
         # From twice as far a feature is seen on a level twice as fine.
-        coarser = np.log(distances_m[k] / distance) / np.log(PYRAMID_SCALE)
+        coarser = np.log(distances_m[i] / distance) / np.log(PYRAMID_SCALE)
         levels_there[count] = min(max(octaves[k] + coarser, 0.0), levels - 1.0)
         places[count, 0], places[count, 1], in_view[count] = u, v, k
         count += 1

@@ -47,7 +47,7 @@ class LocalMap:
 
     def load(self, saved: LandmarkMap) -> None:
         """Begin with an earlier map, which is taken over, where it has its first keyframe."""
-        self.whole.landmarks, self.whole.keyframes = saved.landmarks, saved.keyframes
+        self.whole.take_over(saved.landmarks, saved.keyframes)
         self._origins = {0}
 
     def look_around(self, ids: IntArray) -> None:

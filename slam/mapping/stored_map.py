@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map as arrays, with all that adjusting it to loops needs, and back again."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam.mapping.landmark_map import LandmarkMap, MappedKeyframe
 from slam.mapping.landmarks import UNSEEN, Landmarks
-from slam.types import Features, FloatArray
+from slam.types import Camera, Features, FloatArray
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -23,6 +24,8 @@ _LANDMARKS = (
     "observers",
     "sightings",
 )
+# What holds numbers of landmarks, and of keyframes.
+_OF_LANDMARKS, _OF_KEYFRAMES = ("feature_landmark", "created_landmark"), "landmark_observers"
 
 
 def arrays_of_map(the_map: LandmarkMap) -> dict[str, NDArray[Any]]:
@@ -59,21 +62,41 @@ def arrays_of_landmarks(the_map: LandmarkMap) -> dict[str, NDArray[Any]]:
     }
 
 
-def map_of_arrays(arrays: Arrays, T_odom_kf: FloatArray, empty: LandmarkMap) -> LandmarkMap:
+def map_of_arrays(
+    arrays: Arrays,
+    T_odom_kf: FloatArray,
+    empty: LandmarkMap,
+    cameras: Sequence[Camera] | None = None,
+) -> LandmarkMap:
     """Return the map again, its keyframes at (K, 4, 4) poses, in one that was empty.
+
+    The K cameras are the map's, unless told.
 
     Raises:
         KeyError, ValueError, IndexError: the arrays are not what `arrays_of_map` returns.
     """
+    counts = arrays["feature_count"]
+    columns = [_parts(arrays[f"feature_{name}"], counts) for name in FEATURES]
+    features = [Features(*each) for each in zip(*columns, strict=True)]
+    taken_by = [None] * len(features) if cameras is None else cameras
+    return _filled(empty, features, arrays, list(T_odom_kf), taken_by)
+
+
+def _filled(
+    empty: LandmarkMap,
+    features: Sequence[Features],
+    arrays: Arrays,
+    T_odom_kf: Sequence[FloatArray],
+    cameras: Sequence[Camera | None],
+) -> LandmarkMap:
+    """Return a map with keyframes that have features, and landmarks as `arrays_of_landmarks`."""
     counts, created = arrays["feature_count"], arrays["created_count"]
-    if len(counts) != len(T_odom_kf) or len(created) != len(T_odom_kf):
+    if not len(features) == len(counts) == len(created) == len(T_odom_kf):
         raise ValueError("keyframes")
-    features = [_parts(arrays[f"feature_{name}"], counts) for name in FEATURES]
     seen = _parts(arrays["feature_landmark"], counts)
     made = _parts(arrays["created_landmark"], created)
-    empty.keyframes = [
-        MappedKeyframe(Features(*each), landmark_of, created_ids, T)
-        for *each, landmark_of, created_ids, T in zip(*features, seen, made, T_odom_kf, strict=True)
+    keyframes = [
+        MappedKeyframe(*each) for each in zip(features, seen, made, T_odom_kf, cameras, strict=True)
     ]
     columns = {name: arrays[f"landmark_{name}"] for name in _LANDMARKS}
     count = len(columns["positions_m"])
@@ -82,8 +105,30 @@ def map_of_arrays(arrays: Arrays, T_odom_kf: FloatArray, empty: LandmarkMap) -> 
         raise ValueError("landmarks")
     first_keyframe = np.full(count, UNSEEN, np.int32)
     first_keyframe[arrays["created_landmark"]] = np.repeat(np.arange(len(created)), created)
-    empty.landmarks = Landmarks.of(**columns, first_keyframe=first_keyframe)
+    empty.take_over(Landmarks.of(**columns, first_keyframe=first_keyframe), keyframes)
     return empty
+
+
+def side_by_side(maps: Sequence[LandmarkMap]) -> LandmarkMap:
+    """Return the keyframes and landmarks of all maps, one map after the other, each where it was.
+
+    Their frames have nothing to do with each other until the keyframes are moved.
+    """
+    parts: dict[str, list[NDArray[Any]]] = defaultdict(list)
+    keyframes = landmarks = 0
+    for each in maps:
+        arrays = arrays_of_landmarks(each)
+        for name, array in arrays.items():
+            first = {**dict.fromkeys(_OF_LANDMARKS, landmarks), _OF_KEYFRAMES: keyframes}.get(name)
+            shifted = array if first is None else np.where(array == UNSEEN, UNSEEN, array + first)
+            parts[name].append(shifted.astype(array.dtype))
+        keyframes += len(each.keyframes)
+        landmarks += len(arrays["landmark_positions_m"])
+    arrays = {name: np.concatenate(some) for name, some in parts.items()}
+    mapped = [each for one in maps for each in one.keyframes]
+    features, T_map_kf = [each.features for each in mapped], [each.T_map_cam for each in mapped]
+    cameras = [one.camera_of(each) for one in maps for each in one.keyframes]
+    return _filled(maps[0].copy(), features, arrays, T_map_kf, cameras)
 
 
 def part_of_map(the_map: LandmarkMap, keyframe_ids: Sequence[int]) -> LandmarkMap:

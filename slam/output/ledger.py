@@ -179,6 +179,20 @@ def ledger_line(loop: Decision, min_similarity: float) -> str:
     return json.dumps(asdict(_record(loop, min_similarity)), allow_nan=False)
 
 
+def renumbered(line: str, first: int) -> str:
+    """Return a line of the ledger of keyframes whose numbers begin with another one than 0.
+
+    Raises:
+        SlamError: it is none.
+    """
+    try:
+        record = json.loads(line)
+        numbers = {name: record[name] + first for name in ("query_id", "match_id")}
+        return json.dumps(record | numbers)
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise SlamError("a line of a map's ledger is no loop record; make the map again") from error
+
+
 def read_ledger(path: Path | str) -> tuple[LoopRecord, ...]:
     """Read back the loop decisions of a run, from its loops.jsonl or its folder.
 

@@ -15,7 +15,7 @@ from slam.geometry import se3
 from slam.geometry.features import back_project, undistort
 from slam.geometry.voxels import add_to_voxels, hash_table, voxel_numbers
 from slam.result import SlamResult
-from slam.types import PREVIEW_SCALE, FloatArray
+from slam.types import PREVIEW_SCALE, Camera, FloatArray
 
 _STRIDE = 2  # every other preview pixel is dense enough for the usual voxels
 # A room seen from 1.5 m away is merged by the centimetre, and nothing further than 4 m is in it.
@@ -92,19 +92,27 @@ def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
 
 def _clouds(result: SlamResult, voxel_m: float, max_depth_m: float) -> Iterator[PointCloud]:
     """Yield what each keyframe saw, in the world, thinned first."""
-    height, width = result.keyframes[0].preview.depth_m.shape
-    v, u = np.mgrid[0:height:_STRIDE, 0:width:_STRIDE].reshape(2, -1) / PREVIEW_SCALE
-    pixels = undistort(np.column_stack([u, v]).astype(np.float64), result.camera)
+    pixels_of: dict[Camera, FloatArray] = {}  # that of the run, and those of an earlier map
     for keyframe, T_world_cam in zip(result.keyframes, result.T_world_kf, strict=True):
         if np.isnan(T_world_cam).any():  # in a part of the map that was not joined
             continue
-        shown = keyframe.preview
-        depth_m = shown.depth_m[::_STRIDE, ::_STRIDE].ravel().astype(np.float64)
+        shown, camera = keyframe.preview, keyframe.camera or result.camera
+        image_m = shown.depth_m
+        if camera not in pixels_of:
+            pixels_of[camera] = _pixels(camera, image_m.shape)
+        pixels = pixels_of[camera]
+        depth_m = image_m[::_STRIDE, ::_STRIDE].ravel().astype(np.float64)
         rgb = shown.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)
         seen = (depth_m > 0.0) & (depth_m <= max_depth_m)
-        points_m = back_project(pixels[seen], depth_m[seen], result.camera)
+        points_m = back_project(pixels[seen], depth_m[seen], camera)
         cloud = PointCloud(points_m, rgb[seen].astype(np.float32)).thinned(voxel_m)
         yield PointCloud(se3.transform(T_world_cam, cloud.points_m), cloud.colours)
+
+
+def _pixels(camera: Camera, shape: tuple[int, ...]) -> FloatArray:
+    """Return (N, 2) undistorted pixels of a camera, those whose depth in its preview is taken."""
+    v, u = np.mgrid[0 : shape[0] : _STRIDE, 0 : shape[1] : _STRIDE].reshape(2, -1) / PREVIEW_SCALE
+    return undistort(np.column_stack([u, v]).astype(np.float64), camera)
 
 
 def _median_depth_m(result: SlamResult) -> float:

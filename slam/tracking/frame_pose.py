@@ -138,7 +138,7 @@ def pose_by_keyframes(
     rejections = []
     for keyframe in keyframes:
         outcome = estimate_relative_pose(
-            keyframe.features, view.features, the_map.camera, config
+            keyframe.features, view.features, view.camera, config, keyframe.camera
         ).outcome
         if isinstance(outcome, Rejection):
             rejections.append(outcome)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 
@@ -22,6 +23,7 @@ from slam.types import Camera, Features, FloatArray, Frame
 
 SHARED_DATA = Path(__file__).parents[2] / "../shared/data"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+OTHER_CAMERA = Camera(350, 260, 328.125, 328.125, 174.5, 129.5)
 
 
 @pytest.fixture(scope="session")
@@ -91,6 +93,20 @@ def short_recording(recording: Path, tmp_path: Path) -> Callable[..., Path]:
         return folder
 
     return copy
+
+
+@pytest.fixture(scope="session")
+def by_another_camera() -> Callable[[Frame], Frame]:
+    """Return what shows a frame of the small camera as `OTHER_CAMERA` sees it: cut and enlarged."""
+
+    def seen(frame: Frame) -> Frame:
+        rgb, depth_m = (each[16:224, 20:300] for each in (frame.rgb, frame.depth_m))
+        size = (OTHER_CAMERA.width, OTHER_CAMERA.height)
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
+        nearest = cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST)
+        return Frame(frame.timestamp_s, rgb, nearest.astype(np.float32))
+
+    return seen
 
 
 class Views(NamedTuple):

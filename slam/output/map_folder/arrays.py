@@ -22,6 +22,7 @@ from slam.mapping.stored_map import (
 from slam.types import (
     Camera,
     FloatArray,
+    IntArray,
     Keyframe,
     Link,
     LoopAttempt,
@@ -48,6 +49,7 @@ def columns_of(saved: SavedMap) -> dict[str, Column]:
     small: dict[str, NDArray[Any]] = {
         "keyframe_timestamp_s": np.array([each.timestamp_s for each in keyframes]),
         "keyframe_T_map_cam": np.array([each.T_odom_cam for each in keyframes]),
+        "keyframe_camera": _camera_numbers(saved),
         "keyframe_turning_rad_s": np.array([each.turning_rad_s for each in keyframes]),
         "keyframe_session": saved.sessions.astype(np.int64),
         "keyframe_frames": saved.frames,
@@ -68,16 +70,29 @@ def columns_of(saved: SavedMap) -> dict[str, Column]:
         columns[f"feature_{name}"] = Column(features, feature_parts(saved.the_map, name))
     columns["embedding"] = Column(len(saved.embeddings), np.split(saved.embeddings, len(keyframes)))
     for number, name in enumerate(("color_jpeg", "depth_deflated")):
-        sizes = np.array([len(_contents(each, saved.camera)[number]) for each in keyframes])
+        sizes = np.array([len(_contents(each, saved)[number]) for each in keyframes])
         columns[f"thumbnail_{name}_size"] = Column(len(sizes), [sizes.astype(np.int64)])
-        columns[f"thumbnail_{name}"] = Column(
-            int(sizes.sum()), _bytes_of(keyframes, saved.camera, number)
-        )
+        columns[f"thumbnail_{name}"] = Column(int(sizes.sum()), _bytes_of(saved, number))
     return columns
 
 
+def cameras_of(saved: SavedMap) -> list[Camera]:
+    """Return the cameras of a map, in the order in which its keyframes need them."""
+    return list(dict.fromkeys(each.camera or saved.camera for each in saved.keyframes))
+
+
+def _camera_numbers(saved: SavedMap) -> IntArray:
+    number = {camera: n for n, camera in enumerate(cameras_of(saved))}
+    numbers = [number[each.camera or saved.camera] for each in saved.keyframes]
+    return np.array(numbers, np.int64)
+
+
 def map_of(
-    arrays: Arrays, camera: Camera, fingerprint: str, config: Config, ledger: Sequence[str]
+    arrays: Arrays,
+    cameras: Sequence[Camera],
+    fingerprint: str,
+    config: Config,
+    ledger: Sequence[str],
 ) -> SavedMap:
     """Return the map that arrays are, some of which may lie in files.
 
@@ -87,14 +102,21 @@ def map_of(
     T_map_kf = arrays["keyframe_T_map_cam"]
     if T_map_kf.shape[1:] != (4, 4) or not len(T_map_kf):
         raise ValueError("keyframe_T_map_cam")
+    camera = cameras[0]
+    # Before there were several the layout had no numbers of them.
+    none = np.zeros(len(T_map_kf), np.int64)
+    numbers = _of_each({"keyframe_camera": none, **arrays}, "camera", len(T_map_kf))
+    if numbers.min() < 0:
+        raise ValueError("keyframe_camera")
+    taken_by = [cameras[number] for number in numbers.tolist()]
     empty = LandmarkMap(camera, config.features.levels, config.verification.max_descriptor_distance)
-    the_map = map_of_arrays(arrays, np.array(T_map_kf), empty)
+    the_map = map_of_arrays(arrays, np.array(T_map_kf), empty, taken_by)
     links = [Link(*each) for each in _motions("link", arrays, len(T_map_kf))]
     loops, attempts = _loops(arrays, len(T_map_kf))
     return SavedMap(
         camera,
         fingerprint,
-        tuple(_keyframes(arrays, the_map)),
+        tuple(_keyframes(arrays, the_map, taken_by)),
         _of_each(arrays, "session", len(T_map_kf)),
         _of_each(arrays, "frames", len(T_map_kf)),
         arrays["embedding"],
@@ -114,11 +136,10 @@ def _of_each(arrays: Arrays, name: str, count: int) -> NDArray[Any]:
     return column
 
 
-def _keyframes(arrays: Arrays, the_map: LandmarkMap) -> list[Keyframe]:
-    count, camera = len(the_map.keyframes), the_map.camera
+def _keyframes(arrays: Arrays, the_map: LandmarkMap, cameras: Sequence[Camera]) -> list[Keyframe]:
+    count = len(the_map.keyframes)
     stamps_s = _of_each(arrays, "timestamp_s", count).tolist()
     turning_rad_s = _of_each(arrays, "turning_rad_s", count).tolist()
-    shape = (camera.height // 2, camera.width // 2)
     color, depth = (
         _cut(arrays[f"thumbnail_{name}"], arrays[f"thumbnail_{name}_size"])
         for name in ("color_jpeg", "depth_deflated")
@@ -131,10 +152,17 @@ def _keyframes(arrays: Arrays, the_map: LandmarkMap) -> list[Keyframe]:
             stamps_s[k],
             mapped.T_map_cam,
             mapped.features,
-            kept_frame(stamps_s[k], shape, camera.depth_scale, color[k], depth[k]),
+            kept_frame(
+                stamps_s[k],
+                (camera.height // 2, camera.width // 2),
+                camera.depth_scale,
+                color[k],
+                depth[k],
+            ),
             turning_rad_s[k],
+            camera=camera,
         )
-        for k, mapped in enumerate(the_map.keyframes)
+        for k, (mapped, camera) in enumerate(zip(the_map.keyframes, cameras, strict=True))
     ]
 
 
@@ -201,14 +229,12 @@ def _known(value: float) -> float | None:
     return None if np.isnan(value) else value
 
 
-def _bytes_of(
-    keyframes: Sequence[Keyframe], camera: Camera, number: int
-) -> Iterable[NDArray[np.uint8]]:
-    return (np.frombuffer(_contents(each, camera)[number], np.uint8) for each in keyframes)
+def _bytes_of(saved: SavedMap, number: int) -> Iterable[NDArray[np.uint8]]:
+    return (np.frombuffer(_contents(each, saved)[number], np.uint8) for each in saved.keyframes)
 
 
-def _contents(keyframe: Keyframe, camera: Camera) -> tuple[bytes, bytes]:
-    return compressed(keyframe.preview, camera.depth_scale)
+def _contents(keyframe: Keyframe, saved: SavedMap) -> tuple[bytes, bytes]:
+    return compressed(keyframe.preview, (keyframe.camera or saved.camera).depth_scale)
 
 
 def _cut(array: NDArray[Any], sizes: NDArray[np.int64]) -> list[NDArray[Any]]:

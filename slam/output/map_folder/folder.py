@@ -22,7 +22,7 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.loops.submaps import SavedMap
 from slam.output.claimed_folder import locked, sync
-from slam.output.decision import decisions
+from slam.output.decision import Decision, decisions
 from slam.output.ledger import ledger_line
 from slam.output.map_folder.array_files import (
     mapped_array,
@@ -30,14 +30,15 @@ from slam.output.map_folder.array_files import (
     npy_parts,
     write_file,
 )
-from slam.output.map_folder.arrays import columns_of, map_of
+from slam.output.map_folder.arrays import cameras_of, columns_of, map_of
 from slam.result import SlamResult
 from slam.system import Slam
 from slam.types import Camera, SlamError
 
-VERSION = 1
+VERSION = 2
 """Of the layout: larger whenever a reader of the one before would be misled."""
 
+_OLDEST = 1  # of one camera
 _FORMAT = "loopclose map"
 _MANIFEST, _LEDGER = "manifest.json", "loops.jsonl"
 _ARRAYS, _PART = "arrays-", ".part-"  # a finished folder of arrays, and one that is being written
@@ -62,14 +63,15 @@ def saved_map(slam: Slam, result: SlamResult) -> SavedMap:
     for each in decisions(result, None)[len(earlier.attempts) if earlier else 0 :]:
         query_id, match_id = each.attempt.query_id, each.attempt.match_id
         if query_id in number and match_id in number:
-            attempt = replace(
-                each.attempt,
-                query_id=number[query_id],
-                match_id=number[match_id],
-                influence=None,  # on the keyframes of that run
-            )
-            lines.append(ledger_line(replace(each, attempt=attempt), result.min_similarity))
+            numbered = replace(each.attempt, query_id=number[query_id], match_id=number[match_id])
+            lines.append(line_of(replace(each, attempt=numbered), result.min_similarity))
     return replace(saved, ledger=(*(earlier.ledger if earlier else ()), *lines))
+
+
+def line_of(decision: Decision, min_similarity: float) -> str:
+    """Return a decision's line of a map's ledger, without what it did to the keyframes of a run."""
+    attempt = replace(decision.attempt, influence=None)
+    return ledger_line(replace(decision, attempt=attempt), min_similarity)
 
 
 def check_place(folder: Path, recognizer: PlaceRecognizer) -> None:
@@ -83,7 +85,7 @@ def check_place(folder: Path, recognizer: PlaceRecognizer) -> None:
     _refuse_foreign(folder)
     above = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):
-        raise SlamError(f"cannot write the map here; {_ANOTHER} with --save: {folder}")
+        raise SlamError(f"cannot write the map here; {_ANOTHER}: {folder}")
 
 
 def save_map(folder: Path, saved: SavedMap) -> None:
@@ -133,13 +135,26 @@ def load_map(folder: Path, recognizer: PlaceRecognizer, config: Config | None = 
         RecognizerError: the recognizer has neither a fingerprint nor a source file.
     """
     manifest = _read_manifest(folder)
-    files: _Files = manifest["files"]
     if manifest["fingerprint"] != fingerprint(recognizer):
         raise SlamError(
             "the places of this map were embedded by another recognizer, whose embeddings cannot be"
             f" compared with those of {type(recognizer).__name__!r}; load it with the one that made"
-            f" it: {folder}"
+            f" it, or embed it anew with run_slam reembed: {folder}"
         )
+    return _read(folder, manifest, config)
+
+
+def read_map(folder: Path, config: Config | None = None) -> SavedMap:
+    """Read a map back, whatever recognizer embedded its places, as `load_map` does.
+
+    Raises:
+        SlamError: it is missing, damaged or of another version.
+    """
+    return _read(folder, _read_manifest(folder), config)
+
+
+def _read(folder: Path, manifest: dict[str, Any], config: Config | None) -> SavedMap:
+    files: _Files = manifest["files"]
     inside = folder / manifest["arrays"]
     if wrong := _wrong_file(inside, files):
         raise SlamError(f"{wrong} of the map is missing or damaged; {_DAMAGED}: {folder}")
@@ -149,11 +164,12 @@ def load_map(folder: Path, recognizer: PlaceRecognizer, config: Config | None = 
             for name in files
             if name.endswith(".npy")
         }
-        camera = Camera(
-            **{**manifest["camera"], "distortion": tuple(manifest["camera"]["distortion"])}
-        )
+        cameras = [
+            Camera(**{**each, "distortion": tuple(each["distortion"])})
+            for each in manifest.get("cameras", [manifest.get("camera")])
+        ]
         ledger = (inside / _LEDGER).read_text(encoding="utf-8").splitlines()
-        return map_of(arrays, camera, manifest["fingerprint"], config or Config(), ledger)
+        return map_of(arrays, cameras, manifest["fingerprint"], config or Config(), ledger)
     except Exception as error:  # whatever arrays that do not fit each other lead to
         raise SlamError(f"the map is damaged ({cause_of(error)}); {_DAMAGED}: {folder}") from error
 
@@ -181,7 +197,7 @@ def _told(saved: SavedMap, name: str, files: _Files) -> str:
         "format": _FORMAT,
         "version": VERSION,
         "fingerprint": saved.fingerprint,
-        "camera": asdict(saved.camera),
+        "cameras": [asdict(each) for each in cameras_of(saved)],
         "keyframes": len(saved.keyframes),
         "arrays": name,
         "files": files,
@@ -201,12 +217,13 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     manifest = read_json(path, kind=SlamError)
     if not isinstance(manifest, dict) or manifest.get("format") != _FORMAT:
         raise SlamError(f"this is no manifest of a map: {path}")
-    if (version := manifest.get("version")) != VERSION:
+    if (version := manifest.get("version")) not in range(_OLDEST, VERSION + 1):
         raise SlamError(
             f"the map is of version {version}, and this reads {VERSION}; load it with the loopclose"
             f" that wrote it, or make the map again: {folder}"
         )
-    kinds = {"fingerprint": str, "camera": dict, "arrays": str, "files": dict}
+    of_cameras: dict[str, type] = {"camera": dict} if version == _OLDEST else {"cameras": list}
+    kinds = {"fingerprint": str, **of_cameras, "arrays": str, "files": dict}
     if any(not isinstance(manifest.get(name), kind) for name, kind in kinds.items()):
         raise SlamError(f"the manifest of the map is damaged; {_DAMAGED}: {folder}")
     names = (manifest["arrays"], *manifest["files"])

@@ -41,7 +41,7 @@ def meshes_apart(folder: Path, result: SlamResult, config: MapConfig) -> MapMesh
     voxel_m, max_depth_m = sizes(result, config)
     shrunk = PREVIEW_SCALE * np.array(pinhole(result.camera))
     files = [str(folder / name) for name in MESHES[-len(paths) :]]
-    shape = keyframes[0].preview.depth_m.shape
+    shape = (result.camera.height // 2, result.camera.width // 2)
     told = json.dumps([files, len(keyframes), shape, shrunk.tolist(), voxel_m, max_depth_m])
     with tempfile.TemporaryFile() as complaints:
         answer, code = _asked(told, _sent(keyframes, paths, result.camera), complaints)
@@ -115,22 +115,36 @@ def _asked(told: str, images: Iterator[NDArray[Any]], complaints: IO[bytes]) -> 
 def _sent(
     keyframes: Sequence[Keyframe], paths: Sequence[FloatArray], camera: Camera
 ) -> Iterator[NDArray[Any]]:
-    """Yield of each path each keyframe's pose, colour and depth, as an ideal pinhole sees them."""
-    rows, columns, is_outside = straight_pixels(camera, keyframes[0].preview.depth_m.shape)
+    """Yield of each path each keyframe's pose, colour and depth, as an ideal pinhole sees them.
+
+    It is that of the run's camera, whatever took a keyframe.
+    """
+    shape = (camera.height // 2, camera.width // 2)
+    cameras = {each.camera or camera for each in keyframes}
+    straight = {each: straight_pixels(camera, shape, each) for each in cameras}
     for path in paths:
         for keyframe, T_world_cam in zip(keyframes, path, strict=True):
             shown = keyframe.preview
+            rows, columns, is_outside = straight[keyframe.camera or camera]
             depth_m = shown.depth_m[rows, columns]
             depth_m[is_outside] = 0.0
             yield from (T_world_cam, shown.rgb[rows, columns], depth_m)
 
 
 def straight_pixels(
-    camera: Camera, shape: tuple[int, ...]
+    camera: Camera, shape: tuple[int, ...], taken_by: Camera | None = None
 ) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
-    """Return for each pixel of a straight image where the preview shows it, and whether nowhere."""
+    """Return for each pixel of a straight image where the preview shows it, and whether nowhere.
+
+    The preview is of another camera than the image where that is told.
+    """
+    other = taken_by or camera
+    height, width = shape if taken_by is None else (other.height // 2, other.width // 2)
     v, u = np.mgrid[: shape[0], : shape[1]].reshape(2, -1) / PREVIEW_SCALE
-    seen = PREVIEW_SCALE * distort(np.column_stack([u, v]), camera)
+    if other != camera:
+        u = (u - camera.cx) * (other.fx / camera.fx) + other.cx
+        v = (v - camera.cy) * (other.fy / camera.fy) + other.cy
+    seen = PREVIEW_SCALE * distort(np.column_stack([u, v]), other)
     columns, rows = np.rint(seen).astype(np.int64).T.reshape(2, *shape)
-    is_outside = (rows < 0) | (rows >= shape[0]) | (columns < 0) | (columns >= shape[1])
-    return rows.clip(0, shape[0] - 1), columns.clip(0, shape[1] - 1), is_outside
+    is_outside = (rows < 0) | (rows >= height) | (columns < 0) | (columns >= width)
+    return rows.clip(0, height - 1), columns.clip(0, width - 1), is_outside

@@ -158,7 +158,8 @@ def _loop(loop: Decision, result: SlamResult) -> dict[str, Any]:
     check = loop.attempt.verification
     pixels, agree = np.zeros((0, 4)), np.zeros(0, bool)
     if check is not None and len(check.pixels):
-        size = np.array([result.camera.width, result.camera.height] * 2)
+        cameras = (each.camera or result.camera for each in (loop.match, loop.query))
+        size = np.array([side for each in cameras for side in (each.width, each.height)])
         agreeing, others = np.flatnonzero(check.inlier_mask), np.flatnonzero(~check.inlier_mask)
         kept = np.concatenate([_some(agreeing, _MOST_MATCHES), _some(others, _MOST_MATCHES // 2)])
         pixels, agree = check.pixels[kept] / size, check.inlier_mask[kept]

@@ -69,31 +69,27 @@ def map_points(result: SlamResult) -> dict[str, object] | None:
         each for each, has_place in zip(result.keyframes, is_placed, strict=True) if has_place
     ]
     chosen = placed[:: -(-len(placed) // _MOST_KEYFRAMES)]
-    height, width = result.keyframes[0].preview.depth_m.shape
+    height, width = chosen[0].preview.depth_m.shape
     stride = max(1, int(np.ceil((height * width * len(chosen) / _MOST_POINTS) ** 0.5)))
-    v, u = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
-    pixels = np.column_stack([u.ravel(), v.ravel()]) / PREVIEW_SCALE
-    pixels = undistort(pixels.astype(np.float64), result.camera)
-    depths_m, colours = [], []
-    for keyframe in chosen:
-        depths_m.append(keyframe.preview.depth_m[v, u].ravel().astype(np.float64))
-        colours.append(keyframe.preview.rgb[v, u].reshape(-1, 3))
-    depth_m = np.array(depths_m).reshape(len(chosen), -1)
-    farthest_m = _FARTHEST * float(np.median(depth_m[depth_m > 0.0])) if depth_m.any() else 1.0
-    is_seen = (depth_m > 0.0) & (depth_m <= farthest_m)
-    kept = [
-        back_project(pixels[seen], depth_m[k][seen], result.camera)
-        for k, seen in enumerate(is_seen)
-    ]
+    first = slice(stride // 2, None, stride)
+    depths_m = [each.preview.depth_m[first, first].astype(np.float64) for each in chosen]
+    known_m = np.concatenate([each[each > 0.0] for each in depths_m])
+    farthest_m = _FARTHEST * float(np.median(known_m)) if len(known_m) else 1.0
+    kept, colours = [], []
+    for keyframe, depth_m in zip(chosen, depths_m, strict=True):
+        v, u = np.nonzero((depth_m > 0.0) & (depth_m <= farthest_m))
+        pixels = (np.column_stack([u, v]) * stride + stride // 2) / PREVIEW_SCALE
+        camera = keyframe.camera or result.camera
+        kept.append(back_project(undistort(pixels, camera), depth_m[v, u], camera))
+        colours.append(keyframe.preview.rgb[first, first][v, u])
     points_m: FloatArray = np.concatenate(kept)
     unit_m = float(np.abs(points_m).max(initial=1e-6)) / _STEPS
-    colour: NDArray[np.uint8] = np.array(colours, np.uint8).reshape(-1, 3)[is_seen.ravel()]
     return {
         "keyframes": [each.id for each in chosen],
-        "counts": is_seen.sum(axis=1).tolist(),
+        "counts": [len(each) for each in kept],
         "unit_m": unit_m,
         "points": packed(np.rint(points_m / unit_m).astype("<i2").tobytes()),
-        "colours": packed(colour.tobytes()),
+        "colours": packed(np.concatenate(colours).tobytes()),
     }
 
 

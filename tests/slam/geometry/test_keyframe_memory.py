@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.geometry.keyframe_memory import KeyframeMemory
+from slam.geometry.keyframe_memory import KeyframeMemory, full_size
 from slam.tracking.tracked_frame import preview
 from slam.types import Features, Frame, SlamError
 
@@ -45,6 +45,13 @@ def test_a_frame_that_was_kept_is_the_frame_again(shown, tmp_path, most_bytes):
     for again, frame in zip(kept, shown, strict=True):
         assert_same(again, frame)
         assert_same(again, frame)  # as often as anybody asks
+
+
+def test_a_small_image_is_enlarged_to_what_it_was_of(frames, shown):
+    enlarged = full_size(shown[0].rgb, (241, 321))  # of odd sizes the last row was left out
+    assert enlarged.shape == (241, 321, 3) and enlarged.dtype == np.uint8
+    same = full_size(shown[0].rgb, (240, 320)).astype(float)
+    assert np.abs(same - frames[0].rgb).mean() < 0.5 * np.abs(same - frames[20].rgb).mean()
 
 
 def test_it_takes_a_fifth_of_the_memory(shown, tmp_path):

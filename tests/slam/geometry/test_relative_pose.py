@@ -38,6 +38,24 @@ def error_m_deg(found, views):
     return se3.translation_norm(error), np.degrees(se3.rotation_angle(error))
 
 
+def test_two_views_may_be_of_two_cameras(make_views):
+    views = make_views(T_REF_QUERY, noise=0.5)
+    camera = views.camera
+    other = replace(camera, width=320, height=200, fx=300.0, fy=310.0, cx=150.0, cy=90.0)
+    points_m = views.reference.points_m
+    pixels = np.column_stack([other.fx * points_m[:, 0], other.fy * points_m[:, 1]])
+    pixels = pixels / points_m[:, 2:] + [other.cx, other.cy]
+    reference = replace(views.reference, pixels=pixels, undistorted_px=pixels)
+    seen = estimate_relative_pose(reference, views.query, camera, CONFIG, other)
+    off_m, off_deg = error_m_deg(seen.outcome, views)
+    assert off_m < 0.005 and off_deg < 0.1
+    assert isinstance(
+        estimate_relative_pose(views.query, reference, other, CONFIG, camera).outcome, RelativePose
+    )
+    alone = estimate_relative_pose(reference, views.query, camera, CONFIG).outcome
+    assert error_m_deg(alone, views)[0] > 2 * off_m
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     st.lists(st.floats(-0.15, 0.15), min_size=3, max_size=3),

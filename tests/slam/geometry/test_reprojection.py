@@ -93,3 +93,16 @@ def test_joined_and_selected_are_the_same_numbers(make_views):
     np.testing.assert_array_equal(joined.seen, whole.seen)
     np.testing.assert_array_equal(joined.sigma, whole.sigma)
     assert len(joined) == 20
+
+
+def test_one_camera_can_stand_for_another(make_views):
+    views = make_views(np.eye(4), 20)
+    other = replace(views.camera, fx=300.0, fy=310.0, cx=200.0, cy=120.0)
+    index, camera = np.arange(20), views.camera
+    points_m = views.reference.points_m + np.array([0.01, 0.02, 0.1])
+    measured = Observations.of(views.reference, index, camera)
+    residuals, _ = measured.residuals(points_m, camera)
+    as_other, _ = measured.seen_by(camera, other).residuals(points_m, other)
+    np.testing.assert_allclose(as_other, residuals, rtol=1e-9)
+    assert np.abs(measured.seen_by(camera, other).seen - measured.seen).max() > 50.0
+    assert measured.seen_by(camera, replace(camera, width=9)) is measured

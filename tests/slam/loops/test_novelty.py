@@ -21,7 +21,7 @@ LEFT = EVERYWHERE[EVERYWHERE[:, 0] < 40.0]
 
 
 def keyframe(k, pixels=EVERYWHERE):
-    return SimpleNamespace(id=k, features=SimpleNamespace(pixels=pixels))
+    return SimpleNamespace(id=k, camera=None, features=SimpleNamespace(pixels=pixels))
 
 
 def loop(match_id, pixels=EVERYWHERE, *, is_kept=True):

@@ -42,6 +42,28 @@ def test_a_search_finds_landmarks_from_elsewhere(one, scene, k):
     np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
 
 
+def test_a_camera_of_another_focal_length_finds_landmarks_on_another_level(one, scene):
+    wide = replace(scene.camera, fx=0.5 * scene.camera.fx, fy=0.5 * scene.camera.fy)
+    centre = np.array([wide.cx, wide.cy])
+    pixels = centre + 0.5 * (scene.features[1].undistorted_px - centre)
+    seen = replace(scene.features[1], pixels=pixels, undistorted_px=pixels)
+    fine = replace(one.keyframes[0].features, octaves=np.full(120, 5))
+    one.keyframes[0].features = fine
+    one.landmarks.octaves[:120] = 5  # 1.2 ** 4 is about 2
+    levels = replace(seen, octaves=np.full(120, 1))
+    add(one, scene, 1)
+    one.keyframes[1].features, one.keyframes[1].camera = levels, wide
+    one.take_over(one.landmarks, one.keyframes)
+    grid = FeatureGrid(levels, wide)
+    pairs = one.search(grid, scene.T_world_cam[1], np.arange(120), 3.0)
+    assert len(pairs) > 100
+    np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
+    one.fuse(1, np.arange(120), 3.0)
+    assert len(one.shared_features(0, 1)) > 100
+    measured = one.measured(1)  # as the map's camera would have
+    np.testing.assert_allclose(measured.seen[:, :2], scene.features[1].undistorted_px, atol=1e-9)
+
+
 def test_what_is_behind_or_seen_from_the_back_is_not_looked_for(one, scene):
     grid = FeatureGrid(scene.features[0], scene.camera)
     turned = se3.exp(np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0]))

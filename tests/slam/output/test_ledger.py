@@ -9,7 +9,14 @@ import pytest
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import LoopTruth
 from slam.geometry import se3
-from slam.output.ledger import MotionRecord, TruthRecord, loop_records, read_ledger, write_ledger
+from slam.output.ledger import (
+    MotionRecord,
+    TruthRecord,
+    loop_records,
+    read_ledger,
+    renumbered,
+    write_ledger,
+)
 from slam.result import SlamResult
 from slam.types import (
     Camera,
@@ -279,3 +286,19 @@ def test_a_ledger_that_cannot_be_read(tmp_path):
     (tmp_path / "l").write_bytes(b"\x80\xff")
     with pytest.raises(SlamError, match="the loop ledger is not text"):
         read_ledger(tmp_path / "l")
+
+
+def test_keyframes_may_be_numbered_anew(tmp_path):
+    path = tmp_path / "loops.jsonl"
+    write_ledger(path, result(), drift())
+    before = read_ledger(path)
+    lines = path.read_text().splitlines()
+    assert [renumbered(line, 0) for line in lines] == lines
+    path.write_text("".join(f"{renumbered(line, 7)}\n" for line in lines))
+    moved = [
+        replace(each, query_id=each.query_id + 7, match_id=each.match_id + 7) for each in before
+    ]
+    assert list(read_ledger(path)) == moved
+    for line in ("{", "[]", "{}", '{"query_id": "x", "match_id": 1}'):
+        with pytest.raises(SlamError, match="no loop record"):
+            renumbered(line, 7)

@@ -92,6 +92,19 @@ def test_points_project_back_into_the_pixels_they_came_from(camera):
     np.testing.assert_allclose(centre_px, [u + 2.0, v + 2.0], atol=0.6)
 
 
+def test_keyframes_of_other_cameras_see_the_same_wall():
+    narrow = Camera(80, 60, 130.0, 130.0, 39.5, 29.5)
+    own = wall()
+    shown = keyframe_of(1, coloured((60, 80), (200, 100, 50)), np.full((60, 80), 2.0))
+    other = replace(shown, camera=narrow)
+    cloud = fuse(result_of([own, other]), COARSE)
+    alone = fuse(result_of([own]), COARSE)
+    width_m = [np.ptp(points_of(each)[:, 0]) for each in (cloud, alone)]
+    assert width_m[0] == pytest.approx(width_m[1], abs=0.05)
+    narrow_m = np.ptp(points_of(fuse(result_of([other]), COARSE))[:, 0])
+    assert narrow_m == pytest.approx(0.5 * width_m[1], abs=0.1)
+
+
 def test_each_voxel_holds_the_means_that_open3d_finds():
     rng = np.random.default_rng(0)
     points_m, colours = rng.normal(size=(5000, 3)), rng.uniform(0.0, 255.0, (5000, 3))

@@ -9,8 +9,9 @@ import pytest
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.output.map_folder.folder import load_map, save_map, saved_map
 from slam.system import Slam
-from slam.types import Rejection, SlamError
+from slam.types import Camera, Rejection, SlamError
 
+OTHER_CAMERA = Camera(350, 260, 328.125, 328.125, 174.5, 129.5)
 FIRST = 40
 """Frames that make the map; the camera then comes back to where it began."""
 
@@ -129,9 +130,24 @@ def test_what_is_not_in_the_map_is_a_part_of_its_own(folder, frames, sequence):
     assert len(saved_map(slam, result).keyframes) == count + 1
 
 
-def test_another_camera_or_odometry_is_refused(folder, frames, sequence):
-    with pytest.raises(SlamError, match="of another camera, with fx"):
-        on(folder, replace(sequence.camera, fx=300.0))
+def test_another_camera_goes_on_from_the_map_and_both_are_saved(
+    folder, frames, sequence, T_first_cam, by_another_camera, tmp_path
+):
+    slam = on(folder, OTHER_CAMERA)
+    for frame in frames[FIRST:50]:
+        slam.process(by_another_camera(frame))
+    result = slam.finish()
+    assert error_m(result.trajectory, T_first_cam[FIRST:50]).max() < 0.03
+    save_map(tmp_path / "map", saved_map(slam, result))
+    loaded = load(tmp_path / "map")
+    count = len(slam.earlier.keyframes)
+    cameras = [each.camera for each in loaded.keyframes]
+    assert cameras == [sequence.camera] * count + [OTHER_CAMERA] * (len(cameras) - count)
+    shapes = [each.preview.rgb.shape for each in loaded.keyframes[count - 1 : count + 1]]
+    assert shapes == [(120, 160, 3), (130, 175, 3)]
+
+
+def test_an_odometry_from_elsewhere_is_refused(folder, frames, sequence):
     slam = on(folder, sequence.camera)
     for give in (lambda: slam.process(frames[0], np.eye(4)), lambda: slam.add_pose(1.0, np.eye(4))):
         with pytest.raises(SlamError, match="together with an earlier map"):

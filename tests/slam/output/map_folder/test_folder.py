@@ -119,12 +119,14 @@ def edited(folder, **changed):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"version": 2}, "is of version 2, and this reads 1"),
+        ({"version": 3}, "is of version 3, and this reads 2"),
         ({"format": "x"}, "no manifest of a map"),
         ({"files": {}}, "manifest of the map is damaged"),
         ({"files": {"../x.npy": {}, "loops.jsonl": {}}}, "manifest of the map is damaged"),
         ({"arrays": 3}, "manifest of the map is damaged"),
-        ({"camera": {"width": 3}}, "the map is damaged"),
+        ({"cameras": [{"width": 3}]}, "the map is damaged"),
+        ({"cameras": []}, "the map is damaged"),
+        ({"cameras": 3}, "manifest of the map is damaged"),
         ({"arrays": "arrays-0"}, "is missing or damaged"),
     ],
 )
@@ -132,6 +134,18 @@ def test_a_manifest_of_another_kind_is_refused(folder, changed, told):
     edited(folder, **changed)
     with pytest.raises(SlamError, match=told):
         load(folder)
+
+
+def test_a_map_of_version_1_which_knew_one_camera_is_read(folder):
+    path, whole = folder / "manifest.json", load(folder)
+    told = json.loads(path.read_text())
+    (camera,) = told.pop("cameras")
+    del told["files"]["keyframe_camera.npy"]
+    path.write_text(json.dumps(told | {"version": 1, "camera": camera}))
+    read = load(folder)
+    assert [each.camera for each in read.keyframes] == [each.camera for each in whole.keyframes]
+    save_map(folder, read)
+    assert json.loads(path.read_text())["version"] == 2
 
 
 def test_arrays_that_do_not_fit_each_other_are_refused(folder):

@@ -154,6 +154,17 @@ def test_what_a_lens_bends_is_straight():
     assert 0.0 < is_outside.mean() < 0.2
 
 
+def test_another_camera_shows_the_same_where_it_sees_it():
+    camera, other = CAMERA, Camera(200, 200, 260.0, 260.0, 99.5, 99.5)
+    rows, columns, is_outside = straight_pixels(camera, (60, 80), other)
+    v, u = 2.0 * np.indices((60, 80))
+    ray_x, ray_y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    seen_x, seen_y = (2.0 * columns - other.cx) / other.fx, (2.0 * rows - other.cy) / other.fy
+    assert np.abs(ray_x - seen_x)[~is_outside].max() < 0.005
+    assert np.abs(ray_y - seen_y)[~is_outside].max() < 0.005
+    assert 0.2 < is_outside.mean() < 0.6  # it sees 42 degrees, and the camera 63
+
+
 def test_open3d_is_not_loaded_here():
     module = "slam.output.mesh.separate_process"
     script = f"import sys, {module}; print('open3d' in sys.modules)"

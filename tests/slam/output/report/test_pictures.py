@@ -68,6 +68,25 @@ def test_points_are_where_their_pixels_were_seen(run) -> None:
     assert (colours == keyframe.preview.rgb[v, u]).all()
 
 
+def test_points_of_another_camera_are_where_that_saw_them(run) -> None:
+    before = map_points(run.result)
+    camera = replace(run.result.camera, width=320, height=240, cx=159.5, cy=119.5)
+    smaller = run.result.keyframes[3]
+    shown = replace(
+        smaller.preview,
+        rgb=smaller.preview.rgb[60:180, 80:240],
+        depth_m=smaller.preview.depth_m[60:180, 80:240],
+    )
+    keyframes = list(run.result.keyframes)
+    keyframes[3] = replace(smaller, preview=shown, camera=camera)
+    found = map_points(replace(run.result, keyframes=tuple(keyframes)))
+    assert found["counts"][3] < before["counts"][3] / 3
+    points_m = unpacked(found["points"], "<i2") * found["unit_m"]
+    first = sum(found["counts"][:3])
+    own_m = points_m[first : first + found["counts"][3]]
+    assert np.abs(own_m[:, 0]).max() < 160.0 / camera.fx + 0.01
+
+
 @pytest.mark.parametrize("placed", [0, 1])
 def test_keyframes_without_a_place_show_nothing_in_the_map(run, placed: int) -> None:
     T_world_kf = run.result.T_world_kf.copy()
