@@ -97,6 +97,13 @@ class MotionSystem:
         part._matrix = BlockMatrix(part._ref, part._query, len(self.T_links))
         return part
 
+    def drifting(self, times: float) -> "MotionSystem":
+        """Return the system with links and steps that are off so many times as far as they say."""
+        looser = copy.copy(self)
+        looser._information = self._information.copy()
+        looser._information[: self.first_loop] /= times**2
+        return looser
+
     def squared_errors(self, T_world_kf: FloatArray) -> FloatArray:
         """Return (L,), the squared error of every loop in units of its covariance."""
         chosen = slice(self.first_loop, None)

@@ -33,6 +33,10 @@ class Corridors:
         pairs = [(k, k + PER_ROUND) for k in range(first, first + count)]
         return [self.measured(a, b, self.motion(a, b)) for a, b in pairs]
 
+    def all_over(self) -> list[Link]:
+        """Return true loops at three places of a round."""
+        return [*self.true(0, 5), *self.true(12, 5), *self.true(25, 5)]
+
     def alike(self, first: int, second: int, count: int = 10) -> list[Link]:
         """Return loops that agree with each other: the way from second is taken for the first."""
         pairs = [(first + i, second + i) for i in range(count)]
