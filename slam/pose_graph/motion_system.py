@@ -34,6 +34,7 @@ class MotionSystem:
         T_start: (K, 4, 4), where the graph begins, but of all but a small one where its earlier
             solution has the keyframes, if it was solved; others go on from the last that it knew.
         is_solved: whether it was.
+        link_count: how many motions are links, which come first.
         first_loop: how many motions come before the loops.
         loop_count: how many loops there are.
         is_planar: whether motions differ by three numbers only.
@@ -48,6 +49,7 @@ class MotionSystem:
         self.T_start = self.T_links
         if self.is_solved:
             self.T_start = start_from(graph.T_world_kf, graph.solved)
+        self.link_count = len(graph.links)
         self.first_loop = len(graph.links) + len(graph.steps)
         self.loop_count = len(graph.loops)
         self.is_planar = graph.is_planar
@@ -95,6 +97,13 @@ class MotionSystem:
         part._T_query_ref, part._information = self._T_query_ref[rows], self._information[rows]
         part._matrix = BlockMatrix(part._ref, part._query, len(self.T_links))
         return part
+
+    def drifting(self, times: float) -> "MotionSystem":
+        """Return the system with links and steps that are off so many times as far as they say."""
+        looser = copy.copy(self)
+        looser._information = self._information.copy()
+        looser._information[: self.first_loop] /= times**2
+        return looser
 
     def squared_errors(self, T_world_kf: FloatArray) -> FloatArray:
         """Return (L,), the squared error of every loop in units of its covariance."""
@@ -161,11 +170,12 @@ class MotionSystem:
         how well the motions know the one between them.
         """
         _, sides = self._linearised(T_world_kf)
+        information = self._shared_information()
         rng = np.random.default_rng(_SEED)
         right = np.zeros((len(T_world_kf), 6 * _DRAWS))
-        for first in range(0, len(self._information), _DRAWN_AT_ONCE):
+        for first in range(0, len(information), _DRAWN_AT_ONCE):
             some = slice(first, first + _DRAWN_AT_ONCE)
-            root = np.linalg.cholesky(self._information[some])
+            root = np.linalg.cholesky(information[some])
             noise = root @ rng.normal(size=(len(root), 6, _DRAWS))
             for a, J_a in sides:
                 ends = (a[some], np.arange(len(root)))
@@ -173,9 +183,21 @@ class MotionSystem:
                 added = scipy.sparse.csr_array((np.ones(len(root)), ends), shape=shape)
                 right += added @ (J_a[some].transpose(0, 2, 1) @ noise).reshape(len(root), -1)
         blocks = [
-            J_a.transpose(0, 2, 1) @ self._information @ J_b for _, J_a in sides for _, J_b in sides
+            J_a.transpose(0, 2, 1) @ information @ J_b for _, J_a in sides for _, J_b in sides
         ]
         return self._matrix.solved_anew(blocks, right.reshape(len(right), 6, _DRAWS))
+
+    def _shared_information(self) -> FloatArray:
+        """Return (N, 6, 6): all links of a keyframe together have as much as one of them has.
+
+        They are read off the same landmarks by the same image, and repeat its errors. Taken for
+        independent, three of them would let a way of n keyframes seem 1.7 times better known than
+        it is, and its drift contradict every loop that closes it. One to a keyframe stays as it is.
+        """
+        later = np.maximum(self._ref, self._query)[: self.link_count]
+        information = self._information.copy()
+        information[: self.link_count] /= np.bincount(later)[later][:, None, None]
+        return information
 
     def predicted(self, T_world_kf: FloatArray, draws: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the (L, 6) errors of the loops and their (L, 6, 6) covariance before they count.

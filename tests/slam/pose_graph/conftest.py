@@ -33,6 +33,10 @@ class Corridors:
         pairs = [(k, k + PER_ROUND) for k in range(first, first + count)]
         return [self.measured(a, b, self.motion(a, b)) for a, b in pairs]
 
+    def all_over(self) -> list[Link]:
+        """Return true loops at three places of a round."""
+        return [*self.true(0, 5), *self.true(12, 5), *self.true(25, 5)]
+
     def alike(self, first: int, second: int, count: int = 10) -> list[Link]:
         """Return loops that agree with each other: the way from second is taken for the first."""
         pairs = [(first + i, second + i) for i in range(count)]
@@ -58,16 +62,20 @@ class Corridors:
 
 @pytest.fixture
 def corridors():
-    """Return a maker of rounds whose odometry is as many times worse than the loops."""
+    """Return a maker of rounds whose odometry is as many times worse than the loops.
 
-    def made(worse: float = 1.0, claimed: float = 1.0) -> Corridors:
+    Its links claim so many times the errors that they have, but for what bends all of them alike,
+    which is given in sigmas and not claimed.
+    """
+
+    def made(worse: float = 1.0, claimed: float = 1.0, bend: float = 0.0) -> Corridors:
         rng = np.random.default_rng(5)
         step = se3.exp(np.array([0.0, 2.0 * np.pi / PER_ROUND, 0.0, 0.5, 0.0, 0.0]))
         T, links = [np.eye(4)], []
         information = np.diag(1.0 / (claimed * worse * SIGMAS) ** 2)
         for k in range(3 * PER_ROUND - 1):
             T.append(T[-1] @ step)
-            noisy = step @ se3.exp(rng.normal(size=6) * worse * SIGMAS)
+            noisy = step @ se3.exp((rng.normal(size=6) + bend) * worse * SIGMAS)
             links.append(Link(k, k + 1, RelativePose(noisy, information)))
         return Corridors(np.array(T), links, rng, worse * SIGMAS)
 

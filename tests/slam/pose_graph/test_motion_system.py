@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from slam.pose_graph.motion_system import MotionSystem
+from slam.types import Link, RelativePose
 
 CUT = 55  # between the keyframes 55 and 56
 
@@ -33,6 +35,30 @@ def test_links_of_other_units_are_not_all_next_to_nothing(corridors):
     for k, link in enumerate(world.links):
         world.set_information(k, 1e-6 * link.motion.information)
     assert bridges(world) == [False] * 3
+
+
+def off(graph):
+    """Return how far off the poses may be, as a root mean square of all their numbers."""
+    system = MotionSystem(graph)
+    return np.sqrt((system.draws(system.T_links) ** 2).mean())
+
+
+def test_several_links_of_a_keyframe_know_its_way_no_better_than_one(corridors):
+    """One image made them all."""
+    chain = corridors().graph([])
+    tied = replace(chain, links=[link for link in chain.links for _ in range(3)])
+    assert off(tied) == pytest.approx(off(chain), rel=0.2)
+
+
+def test_a_link_against_the_order_of_keyframes_is_that_of_the_later_one(corridors):
+    graph = corridors().graph([])
+    turned = [against(each) if each.ref_id % 2 else each for each in graph.links]
+    assert off(replace(graph, links=turned)) == pytest.approx(off(graph), rel=0.2)
+
+
+def against(link):
+    T_query_ref = np.linalg.inv(link.motion.T_ref_query)
+    return Link(link.query_id, link.ref_id, RelativePose(T_query_ref, link.motion.information))
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from slam.types import Link, RelativePose
 
 PROBABILITY = 0.95
 SIGMAS = np.array([0.003, 0.003, 0.003, 0.01, 0.01, 0.01])  # of the loops of corridors
+BEND = 0.5  # sigmas, of all links alike: over a round that is 2.4 times as far as they claim
 
 
 def kept(solution):
@@ -58,6 +59,14 @@ def test_a_true_loop_in_the_tail_of_its_noise_is_kept(corridors):
     tail = Link(5, 45, RelativePose(motion, np.diag(1.0 / SIGMAS**2)))
     solution = solve(world.graph([*world.true(0), *world.true(45), tail]), PROBABILITY)
     assert kept(solution) == list(range(21)) and solution.warnings == ()
+
+
+def test_true_loops_are_kept_where_several_links_of_a_keyframe_repeat_its_error(corridors):
+    """Were they independent, three of them would know each way 1.7 times better than one does."""
+    world = corridors(bend=0.35)
+    graph = world.graph(world.true(0) + world.true(12))
+    solution = solve(replace(graph, links=[each for each in graph.links for _ in range(3)]), 0.95)
+    assert len(kept(solution)) >= 18 and solution.warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -113,3 +122,48 @@ def test_false_loops_over_a_weak_link_are_judged_like_all_others(corridors):
     solution = solve(graph, PROBABILITY)
     assert kept(solution) == [] and solution.warnings
     assert world.rmse_m(solution.T_world_kf) <= world.rmse_m(graph.T_world_kf) + 1e-6
+
+
+@pytest.mark.parametrize("small", [30, 500], ids=["as large", "as small"])
+def test_true_loops_all_over_are_kept_though_the_odometry_drifts_further_than_it_says(
+    corridors, monkeypatch, small
+):
+    monkeypatch.setattr("slam.pose_graph.graph._SMALL", small)
+    world = corridors(bend=BEND)
+    graph = world.graph(world.all_over())
+    solution = solve(graph, PROBABILITY)
+    assert kept(solution) == list(range(15))
+    assert world.rmse_m(solution.T_world_kf) < 0.4 * world.rmse_m(graph.T_world_kf)
+    (warning,) = solution.warnings
+    assert "the odometry drifts 2.4 times as far as its links claim" in warning
+
+
+def test_a_false_cluster_beside_them_is_left_out(corridors):
+    world = corridors(bend=BEND)
+    solution = solve(world.graph(world.all_over() + world.alike(30, 72)), PROBABILITY)
+    assert kept(solution) == list(range(15))
+
+
+@pytest.mark.parametrize("second", [71, 72])
+def test_a_false_cluster_alone_cannot_make_the_odometry_out_to_be_worse(corridors, second):
+    world = corridors(bend=BEND)
+    graph = world.graph(world.alike(30, second))
+    solution = solve(graph, PROBABILITY)
+    assert kept(solution) == [] and solution.warnings
+    assert world.rmse_m(solution.T_world_kf) == pytest.approx(world.rmse_m(graph.T_world_kf))
+
+
+def test_loops_at_one_place_are_left_out_and_what_they_say_is_said(corridors):
+    """Near, and of an odometry that drifts, but so might be those of a place that looks alike."""
+    world = corridors(bend=BEND)
+    solution = solve(world.graph(world.true(10, 8)), PROBABILITY)
+    assert kept(solution) == []
+    said = "for 8 loops that agree to be true the odometry would have to drift 2.5 times as far"
+    assert any(said in warning for warning in solution.warnings)
+
+
+def test_where_the_links_can_be_relied_on_nothing_is_made_of_false_loops_all_over(corridors):
+    world = corridors()
+    false = [*world.alike(5, 46), *world.alike(25, 66)]
+    assert kept(solve(world.graph(false), PROBABILITY)) == []
+    assert kept(solve(world.graph(world.all_over() + false), PROBABILITY)) == list(range(15))
