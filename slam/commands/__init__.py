@@ -5,6 +5,7 @@
 """
 
 COMMANDS = {
+    "batch": "run on many recordings, each by itself, here or on a Ray cluster",
     "compare": "show finished runs side by side: errors, loops, warnings, differing settings",
     "more-loops": "look for loops that a run did not try, once its map is solved",
     "replay": "decide about the loops of a run again, with other settings and without its images",
