@@ -139,7 +139,10 @@ def _connected(ray: Any, fleet: Fleet) -> Iterator[None]:
         "log_to_driver": False,
         "logging_level": logging.CRITICAL,
     }
-    with tempfile.TemporaryDirectory(prefix="loopclose-ray-", dir=_TEMPORARY) as scratch:
+    place = tempfile.TemporaryDirectory(
+        prefix="loopclose-ray-", dir=_TEMPORARY, ignore_cleanup_errors=True
+    )
+    with place as scratch:
         if fleet.address is None:
             asked |= {
                 "address": "local",
@@ -176,5 +179,5 @@ def _refuse_what_fits_nowhere(nodes: Sequence[Mapping[str, Any]], fleet: Fleet) 
 
 
 def _said(error: Exception) -> str:
-    """Return in one line what ended a task; the cause of what it raised, without its trace."""
-    return cause_of(getattr(error, "cause", None) or error)
+    """Return in one line of some length what ended a task, without a trace."""
+    return str(RecognizerError(cause_of(getattr(error, "cause", None) or error)))

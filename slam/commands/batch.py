@@ -5,7 +5,7 @@ import io
 import logging
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -142,7 +142,7 @@ def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
     out = told.out.resolve()
     jobs = {each.name: _job(told, each, out) for each in recordings}
     _refuse_what_was_run_otherwise(told, jobs)
-    _write_settings(out, told.settings)
+    _write_settings(out, told.settings, jobs)
     todo = [name for name in jobs if summary_of_done(out / name) is None]
     if len(todo) < len(jobs):
         note(f"{len(jobs) - len(todo)} of {len(jobs)} recordings are done already")
@@ -191,16 +191,19 @@ def _refuse_what_was_run_otherwise(told: Arguments, jobs: dict[str, Job]) -> Non
             )
 
 
-def _write_settings(out: Path, settings: Config) -> None:
+def _write_settings(out: Path, settings: Config, names: Container[str]) -> None:
     """Write the settings, which tell that the other files beside them are ours.
 
     Raises:
-        LoopcloseError: there is somebody's file of such a name, or they cannot be written.
+        LoopcloseError: a run, or somebody's file, has the name of one, or they cannot be written.
     """
     from slam.output.comparison.batch import FIGURES, PAGE
 
     file, first_line = out / SETTINGS, f"# {PROG}\n"
-    taken = [name for name in (SETTINGS, FIGURES, PAGE) if os.path.lexists(out / name)]
+    ours = (SETTINGS, FIGURES, PAGE)
+    if taken := [name for name in ours if name in names]:
+        raise SlamError(f"no run can be called {taken[0]}, which is written beside the runs")
+    taken = [name for name in ours if os.path.lexists(out / name)]
     if taken and not (is_file(file) and read_text(file, kind=SlamError).startswith(first_line)):
         raise SlamError(
             f"the folder holds a {taken[0]} that is not known to be of a batch; choose another with"
@@ -213,6 +216,8 @@ def _run(told: Arguments, jobs: dict[str, Job]) -> dict[str, str]:
     """Do runs, and return why those that failed did, by name."""
     from placerec.commands.fleet import Finished, Fleet, run_all
 
+    where = told.address or "the cores of this machine"
+    note(f"running on {len(jobs)} of the recordings, by {where}")
     names, failed = list(jobs), {}
     fleet, ends = Fleet(told.address, told.cores, told.memory_mb), count(1)
     with progress_bar("running", len(jobs), "recording") as progress:

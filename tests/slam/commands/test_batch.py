@@ -134,6 +134,7 @@ def test_a_run_that_was_asked_to_end_is_started_again(tmp_path, monkeypatch):
         (("a", "--recognizer", "nobody"), "nobody"),
         ((), "there is no recording in what was typed"),
         (("x/a", "y/a"), "two runs would be called a"),
+        (("x/batch.csv",), "no run can be called batch.csv"),
     ],
 )
 def test_what_cannot_be_is_one_line_before_anything_starts(tmp_path, capsys, started, typed, told):
