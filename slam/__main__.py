@@ -5,7 +5,6 @@ import gc
 import logging
 import shlex
 import sys
-from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
@@ -20,7 +19,7 @@ from placerec.commands.console import answer, note, say
 from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
-from slam.commands.opening import DEFAULT_RECOGNIZER, given_poses, opened
+from slam.commands.opening import DEFAULT_RECOGNIZER, given_poses, opened, settings_file_typed
 from slam.config import Config, load_config
 from slam.types import SlamError
 
@@ -37,7 +36,7 @@ _DESCRIPTION = """Track an RGB-D sequence, close its loops, correct the drift an
   run_slam path/to/recording       a folder in a format of --help-all, or a bag
   run_slam fr1_xyz fr1_desk        of one camera, in the order of time: one map
   run_slam fr1_desk --odometry poses.txt       loops for poses that you have
-  run_slam compare runs/a runs/b   or merge, more-loops, reembed, replay, stress
+  run_slam batch|compare|merge|more-loops|reembed|replay|stress --help
 
 Writes trajectories, the loop ledger, a point cloud, report.html; open that."""
 _DETAILS = """
@@ -118,11 +117,7 @@ def parse(arguments: list[str]) -> Arguments:
     Raises:
         LoopcloseError: something is wrong with it, or the settings file cannot be used.
     """
-    # --config is found before the rest is parsed: it holds the defaults of the other flags.
-    finder = ArgumentParser(add_help=False, allow_abbrev=False)
-    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
-    path: Path | None = finder.parse_known_args(arguments)[0].config
-    defaults = Config() if path is None else load_config(path)
+    defaults = settings_file_typed(arguments)
 
     def read(left: list[str]) -> Arguments:
         return tyro.cli(

@@ -73,7 +73,7 @@ def test_every_library_that_is_imported_is_declared():
     lines = project["dependencies"] + [
         line for name, lines in extras.items() if name not in FOR_DEVELOPERS for line in lines
     ]
-    declared = {re.split(r"[<>=; ]", line)[0].lower() for line in lines}
+    declared = {re.split(r"[\[<>=; ]", line)[0].lower() for line in lines}
     owners = packages_distributions()
     modules = [path for path in MODULES if name(path) not in LOADED_BY_PYTEST]
     libraries = {library for path in modules for library in imports(path)} - set(PACKAGES)

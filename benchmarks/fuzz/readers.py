@@ -30,6 +30,7 @@ from placerec.recognizers.fitted_file import shipped
 from placerec.recognizers.gradients import GradientRecognizer
 from placerec.training.checkpoint import read_checkpoint
 from placerec.training.log import read_log
+from slam.commands.named_recordings import named_recordings
 from slam.config import Config, InputConfig, load_config, to_toml
 from slam.datasets import download, open_sequence, read_camera
 from slam.datasets.cameras import read_intrinsics
@@ -430,6 +431,13 @@ _WEIGHTS = [
 ]
 _TEXTS = [
     _of_file("camera", "camera.toml", lambda: _CAMERA.encode(), read_camera, True),
+    _of_file(
+        "recordings",
+        "list.txt",
+        lambda: b"# of ours\nmon/cam\ncam_b = tue/cam\nfr1_desk\n",
+        lambda path: named_recordings([str(path)]),
+        True,
+    ),
     _of_file("settings", "settings.toml", lambda: to_toml(Config()).encode(), load_config, True),
     _of_file(
         "intrinsics", "i.json", lambda: _realsense()["intrinsics.json"], read_intrinsics, True

@@ -5,6 +5,7 @@
 """
 
 COMMANDS = {
+    "batch": "run on many recordings, each by itself, here or on a Ray cluster",
     "compare": "show finished runs side by side: errors, loops, warnings, differing settings",
     "merge": "make one map of saved ones, by loops between them",
     "more-loops": "look for loops that a run did not try, once its map is solved",

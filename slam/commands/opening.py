@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How what was named is opened: a sequence rendered, found, or fetched, and poses read."""
+"""How what was named is opened: settings and poses read, a sequence rendered, found, or fetched."""
 
 import logging
+from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from placerec.commands.console import note, progress_bar
-from slam.config import Config, InputConfig
+from slam.config import Config, InputConfig, load_config
 
 if TYPE_CHECKING:
     from slam.datasets import Sequence, Sessions
@@ -15,6 +16,18 @@ if TYPE_CHECKING:
 DEFAULT_RECOGNIZER = "learned"
 DEMO = "demo"
 _log = logging.getLogger("slam")
+
+
+def settings_file_typed(typed: list[str]) -> Config:
+    """Return the settings of --config, which are the defaults of the other flags.
+
+    Raises:
+        LoopcloseError: the file cannot be used.
+    """
+    finder = ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path, nargs="?")  # tyro tells what it lacks
+    path: Path | None = finder.parse_known_args(typed)[0].config
+    return Config() if path is None else load_config(path)
 
 
 def opened(name: str, config: InputConfig, folder: Path) -> "Sequence":

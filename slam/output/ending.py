@@ -24,6 +24,7 @@ _MOST_MEASURED = (
     5000  # keyframes: what was measured of more would fill gigabytes before it is written
 )
 _HARDLY_ANY, _WORTH_A_WORD = 0.1, 20  # frames placed to each that was not; of these at least
+_KILLED = "the run was killed before its end, and finished from what it had kept"
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,15 @@ def conclude(
         doubts = (f"the run stopped early: {reason_of(stopped)}", *doubts)
         problems.insert(0, f"{reason_of(stopped)}; what was done until then is in {folder}")
     result = replace(result, warnings=(*doubts, *result.missing, *run.doubts(), *result.warnings))
+    placed, untracked = len(result.trajectory), len(result.untracked_s)
+    if placed < _HARDLY_ANY * untracked and untracked >= _WORTH_A_WORD:
+        problems.append(
+            f"only {placed} of {placed + untracked} frames could be placed, so that next to nothing"
+            f" is known of the rest; {folder / 'report.html'} says why"
+        )
+    if result.given and not result.given.fits:
+        problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
+    told = (*problems, *result.missing, *(() if is_whole else (_KILLED,)))
     try:
         result = write_outputs(
             run.claimed,
@@ -116,6 +126,7 @@ def conclude(
             run.header.command,
             run.poses,
             measured,
+            told,
         )
     except LoopcloseError as error:
         problems.append(str(error))
@@ -124,14 +135,6 @@ def conclude(
             save_map(run.save, saved_map(slam, result))
         except Exception as error:
             problems.append(f"the map is not saved: {cause_of(error)}")
-    placed, untracked = len(result.trajectory), len(result.untracked_s)
-    if placed < _HARDLY_ANY * untracked and untracked >= _WORTH_A_WORD:
-        problems.append(
-            f"only {placed} of {placed + untracked} frames could be placed, so that next to nothing"
-            f" is known of the rest; {folder / 'report.html'} says why"
-        )
-    if result.given and not result.given.fits:
-        problems.append(f"{result.given.warnings[0]}; what the images alone tell is in {folder}")
     return Ended(summary_table(result, drift, folder), (*problems, *result.missing), result)
 
 

@@ -3,7 +3,7 @@
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -66,11 +66,13 @@ def write_outputs(
     command: str,
     pose_file: PoseFile | None = None,
     measured: Measurements | None = None,
+    problems: Sequence[str] = (),
 ) -> SlamResult:
     """Write every output as `write_run` does, into a folder that is claimed already.
 
-    What the run measured is written where it is given. Returns the result with the meshes, or with
-    a warning that says why there are none, if the config asks for them.
+    What the run measured is written where it is given, and its problems go into the summary.
+    Returns the result with the meshes, or with a warning that says why there are none, if the
+    config asks for them.
 
     Raises:
         LoopcloseError: files cannot be written; the others are complete and in their place.
@@ -101,7 +103,7 @@ def write_outputs(
     meshes = [name for name in MESHES if (claimed.unfinished / name).exists()]
     later: dict[str, _Writer] = {
         "summary.json": lambda path: _write_summary(
-            path, result, drift, command, [*writers, *meshes, *later]
+            path, result, drift, command, [*writers, *meshes, *later], problems
         )
     }
     if config.map.write and result.has_images:  # before the memory that the report takes is taken
@@ -216,7 +218,14 @@ def _write_graph(path: Path, result: SlamResult) -> None:
 
 
 def _write_summary(
-    path: Path, result: SlamResult, drift: DriftReport | None, command: str, files: list[str]
+    path: Path,
+    result: SlamResult,
+    drift: DriftReport | None,
+    command: str,
+    files: list[str],
+    problems: Sequence[str],
 ) -> None:
-    summary = {"command": command, "files": files, **summarise(result, drift)}
+    # Why the run is not what was asked for: none after a good one, whose exit code is 0.
+    told = {"command": command, "files": files, "problems": list(problems)}
+    summary = {**told, **summarise(result, drift)}
     write_atomically(path, json.dumps(summary, indent=2) + "\n")

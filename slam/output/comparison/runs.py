@@ -2,7 +2,7 @@
 """Folders of finished runs, read to be compared: what was run, with which settings, what came."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -149,14 +149,10 @@ def _read_run(folder: Path, name: str) -> FinishedRun:
         raise SlamError(
             f"there is no run: {_SUMMARY} is missing; give folders that run_slam wrote: {folder}"
         )
-    summary = read_json(folder / _SUMMARY, kind=SlamError)
-    if not isinstance(summary, dict):
-        raise SlamError(f"{_SUMMARY} is none that run_slam wrote: {folder}")
+    summary = read_summary(folder)
     sequence, settings = _told(summary.get("command"))
     tables = read_toml(folder / _SETTINGS, kind=SlamError) if is_file(folder / _SETTINGS) else {}
-    for section, values in tables.items():
-        if isinstance(values, dict):
-            settings |= {f"{section}.{key}": str(value) for key, value in values.items()}
+    settings |= in_one(tables)
     last = "smoothed" if _is_smoothed(summary, tables) else "with loops"
     files = {"odometry": "odometry.txt", last: "trajectory.txt"}
     trajectories = {each: _poses(folder / file) for each, file in files.items()}
@@ -164,6 +160,28 @@ def _read_run(folder: Path, name: str) -> FinishedRun:
     is_compared = summary.get("ate_corrected_m", 0.0) is not None and is_file(folder / _TRUTH)
     truth = _poses(folder / _TRUTH) if is_compared else None
     return FinishedRun(name, sequence, summary, settings, trajectories, truth)
+
+
+def read_summary(folder: Path) -> dict[str, object]:
+    """Return the summary of the run in a folder.
+
+    Raises:
+        LoopcloseError: it cannot be read.
+    """
+    summary = read_json(folder / _SUMMARY, kind=SlamError)
+    if not isinstance(summary, dict):
+        raise SlamError(f"{_SUMMARY} is none that run_slam wrote: {folder}")
+    return summary
+
+
+def in_one(tables: Mapping[str, object]) -> dict[str, str]:
+    """Return settings, which are tables by section, by section.name."""
+    return {
+        f"{section}.{key}": str(value)
+        for section, values in tables.items()
+        if isinstance(values, dict)
+        for key, value in values.items()
+    }
 
 
 def _is_smoothed(summary: dict[str, object], settings: dict[str, object]) -> bool:

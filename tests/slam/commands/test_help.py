@@ -8,6 +8,7 @@ import pytest
 @pytest.mark.parametrize(
     ("module", "typed", "taught"),
     [
+        ("slam.__main__", ["batch", "--help"], "run_slam batch recordings/*"),
         ("slam.__main__", ["compare", "--help"], "run_slam compare runs/demo runs/strict"),
         ("slam.__main__", ["merge", "--help"], "run_slam merge maps/robot1 maps/robot2"),
         ("slam.__main__", ["more-loops", "--help"], "run_slam more-loops runs/fr1_desk"),
@@ -16,7 +17,7 @@ import pytest
         ("slam.__main__", ["stress", "--help"], "run_slam stress demo"),
         ("slam.commands.drift_report", ["--help"], "drift_report estimate.txt truth.txt"),
     ],
-    ids=["compare", "merge", "more-loops", "reembed", "replay", "stress", "drift_report"],
+    ids=["batch", "compare", "merge", "more-loops", "reembed", "replay", "stress", "drift_report"],
 )
 def test_help_teaches_on_one_screen_and_loads_nothing_heavy(monkeypatch, module, typed, taught):
     script = (

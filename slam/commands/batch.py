@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`run_slam batch`: a run on each of many recordings, here or on a Ray cluster."""
+
+import io
+import logging
+import os
+import time
+from collections.abc import Container, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from importlib import import_module
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from placerec.commands import usage
+from placerec.commands.console import note, progress_bar, say
+from placerec.errors import cause_of
+from placerec.files import is_file, read_text, write_atomically
+from placerec.recognizer import load
+from slam.commands.named_recordings import NamedRecording, named_recordings
+from slam.commands.opening import DEFAULT_RECOGNIZER, settings_file_typed
+from slam.config import Config, to_toml
+from slam.types import SlamError
+
+if TYPE_CHECKING:
+    from slam.output.comparison.batch import Outcome
+
+PROG = "run_slam batch"
+SETTINGS = "batch.toml"
+"""In the folder of all runs: the settings that each of them has."""
+
+_SAID = "run_slam: "  # before what `run_slam` says last
+_INTERRUPTED = "interrupted"  # how that begins where nobody wanted it to go on
+_NOT_HERE = (
+    "it was run, but its folder does not show that here; all nodes, and this machine, have to see"
+    " --out at the same path"
+)
+_PATIENCE_S = 30  # with a run that goes on on a node that is taken for dead
+_log = logging.getLogger("slam")
+_DESCRIPTION = """Run on many recordings, each by itself, and put all into one table.
+
+  run_slam batch recordings/*                  each gets its folder runs/NAME
+  run_slam batch runs.txt --out RUNS           a list, one recording per line
+  run_slam batch runs.txt --out RUNS --address ray://head:10001
+
+The same command goes on with what is not done. Needs the extra `fleet`."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What run_slam batch was asked to do."""
+
+    recordings: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="RECORDING ...", help_behavior_hint="(at least one)"),
+    ]
+    """As run_slam takes them, or LIST.txt of them. A line of it may be `NAME = RECORDING`."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
+    """Folder for the folders of all runs."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Ray cluster to run on; default: the cores of this machine."""
+    cores: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 1
+    """Of each run."""
+    memory_mb: Annotated[int, tyro.conf.arg(metavar="MB")] = 1024
+    """Of each run; see docs/costs.md."""
+    recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
+    """As for run_slam."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """TOML file with settings; flags win over it."""
+    settings: Annotated[Config, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = field(
+        default_factory=Config
+    )
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is to be done, in plain words, as it goes to another machine.
+
+    Attributes:
+        folder: for its outputs.
+        typed: what would be typed after `run_slam`.
+    """
+
+    folder: str
+    typed: tuple[str, ...]
+
+
+def main(typed: list[str]) -> int:
+    """Run on what was named and return the exit code 0.
+
+    Raises:
+        LoopcloseError: something is wrong with what was typed, or some of the runs failed.
+    """
+    told = parse(typed)
+    if told.cores < 1 or told.memory_mb < 1:
+        raise SlamError("--cores and --memory-mb have to be above 0")
+    recordings = named_recordings(told.recordings)
+    # Loaded from here on, so that --help and typing errors answer at once.
+    from slam.output.claimed_folder import ClaimedFolder
+
+    try:
+        with ClaimedFolder(told.out):
+            failed = _all(told, recordings)
+    except KeyboardInterrupt:
+        raise SlamError(
+            f"interrupted; the same command goes on from what is in {told.out}"
+        ) from None
+    if failed:
+        raise SlamError(
+            f"{len(failed)} of {len(recordings)} recordings failed, which the same command tries"
+            f" again: {', '.join(failed)}"
+        )
+    return 0
+
+
+def parse(typed: list[str]) -> Arguments:
+    """Return the parsed command line; exits with code 0 after --help and the like.
+
+    Raises:
+        LoopcloseError: something is wrong with it, or the settings cannot be read.
+    """
+    defaults = settings_file_typed(typed)
+
+    def read(left: list[str]) -> Arguments:
+        default = Arguments(recordings=tyro.MISSING, settings=defaults)
+        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left, default=default)
+
+    sections = {type(section).__name__: name for name, section in defaults}
+    return usage.answered(PROG, typed, read, sections)
+
+
+def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
+    """Do the runs that are not done, tell of all, and return the names of those that failed."""
+    from slam.output.comparison.batch import PAGE, as_files, summary_of_done, table
+    from slam.output.comparison.tables import as_text
+
+    load(told.recognizer)  # before anything is started with one that there is not
+    out = told.out.resolve()
+    jobs = {each.name: _job(told, each, out) for each in recordings}
+    _refuse_what_was_run_otherwise(told, jobs)
+    _write_settings(out, told.settings, jobs)
+    todo = [name for name in jobs if summary_of_done(out / name) is None]
+    if len(todo) < len(jobs):
+        note(f"{len(jobs) - len(todo)} of {len(jobs)} recordings are done already")
+    whys = _run(told, {name: jobs[name] for name in todo}) if todo else {}
+    outcomes = [_outcome(out / name, whys.get(name, "")) for name in jobs]
+    for name, content in as_files(outcomes).items():
+        write_atomically(out / name, content)
+    say(as_text(table(outcomes)))
+    say(f"{'written':<10} {told.out / PAGE}")
+    return [each.name for each in outcomes if each.why]
+
+
+def _outcome(folder: Path, why: str) -> "Outcome":
+    from slam.output.comparison.batch import Outcome, summary_of_done
+
+    summary = None if why else summary_of_done(folder)
+    return Outcome(folder.name, summary or {}, why or ("" if summary else _NOT_HERE))
+
+
+def _job(told: Arguments, named: NamedRecording, out: Path) -> Job:
+    recognizer = told.recognizer
+    if is_file(Path(recognizer)):
+        recognizer = str(Path(recognizer).resolve())
+    folder = str(out / named.name)
+    asked = (named.recording, "--recognizer", recognizer)
+    return Job(folder, (*asked, "--out", folder, "--config", str(out / SETTINGS)))
+
+
+def _refuse_what_was_run_otherwise(told: Arguments, jobs: dict[str, Job]) -> None:
+    """Refuse to have runs in one table that were not made alike, or to do them again.
+
+    Raises:
+        SlamError: there is one.
+    """
+    from slam.output.comparison.batch import summary_of_done, what_differs
+
+    for name, job in jobs.items():
+        summary = summary_of_done(Path(job.folder))
+        if summary is None:
+            continue
+        command = ["run_slam", *job.typed[:3]]
+        if differs := what_differs(Path(job.folder), summary, command, told.settings):
+            raise SlamError(
+                f"the run {name} is done, and not as asked for now: {differs}; choose another"
+                f" folder with --out, or remove what is to be done again: {job.folder}"
+            )
+
+
+def _write_settings(out: Path, settings: Config, names: Container[str]) -> None:
+    """Write the settings, which tell that the other files beside them are ours.
+
+    Raises:
+        LoopcloseError: a run, or somebody's file, has the name of one, or they cannot be written.
+    """
+    from slam.output.comparison.batch import FIGURES, PAGE
+
+    file, first_line = out / SETTINGS, f"# {PROG}\n"
+    ours = (SETTINGS, FIGURES, PAGE)
+    if taken := [name for name in ours if name in names]:
+        raise SlamError(f"no run can be called {taken[0]}, which is written beside the runs")
+    taken = [name for name in ours if os.path.lexists(out / name)]
+    if taken and not (is_file(file) and read_text(file, kind=SlamError).startswith(first_line)):
+        raise SlamError(
+            f"the folder holds a {taken[0]} that is not known to be of a batch; choose another with"
+            f" --out: {out}"
+        )
+    write_atomically(file, f"{first_line}\n{to_toml(settings)}")
+
+
+def _run(told: Arguments, jobs: dict[str, Job]) -> dict[str, str]:
+    """Do runs, and return why those that failed did, by name."""
+    from placerec.commands.fleet import Finished, Fleet, run_all
+
+    where = told.address or "the cores of this machine"
+    note(f"running on {len(jobs)} of the recordings, by {where}")
+    names, failed = list(jobs), {}
+    fleet, ends = Fleet(told.address, told.cores, told.memory_mb), count(1)
+    with progress_bar("running", len(jobs), "recording") as progress:
+
+        def tell(ended: Finished[str]) -> None:
+            name = names[ended.number]
+            if why := ended.why or ended.answer:
+                failed[name] = why
+                _log.error("%s: %s", name, why)
+            progress(next(ends), what=name)
+
+        run_all(run_alone, list(jobs.values()), fleet, tell)
+    return failed
+
+
+def run_alone(job: Job) -> str:
+    """Do a run as `run_slam` does, unless it is done; return why it failed, "" where it did not.
+
+    Raises:
+        Interrupted: the process was asked to end.
+    """
+    from placerec.commands.fleet import Interrupted
+    from slam.output.comparison.batch import summary_of_done
+
+    folder = Path(job.folder)
+    _wait_for(folder)
+    if summary_of_done(folder) is not None:  # whoever did it died before it could say so
+        return ""
+    main = import_module("slam.__main__").main  # above this file; in this process, it is what runs
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said), redirect_stdout(io.StringIO()):
+            code = main(list(job.typed))
+    except Exception as error:
+        return cause_of(error)
+    why = "" if code == 0 else said.getvalue().splitlines()[-1].removeprefix(_SAID)
+    if why.startswith(_INTERRUPTED):
+        raise Interrupted(why)
+    return why
+
+
+def _wait_for(folder: Path) -> None:
+    """Wait, for a while, until whoever still writes to a folder has let go of it."""
+    from slam.output.claimed_folder import locked
+
+    for _ in range(_PATIENCE_S):
+        try:
+            os.close(locked(folder, "the folder"))
+            return
+        except FileNotFoundError:
+            return
+        except SlamError:
+            time.sleep(1.0)
