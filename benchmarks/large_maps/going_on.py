@@ -113,7 +113,8 @@ def measure(clips: dict[str, Sequence], recognizer: str, scratch: Path) -> Itera
     yield "| run | keyframes placed | joint ATE, mm | frames placed | first placed after, s |"
     yield "|---|---|---|---|---|"
     both = Slam(camera, model)
-    fed = feed(both, sorted(clips.values(), key=lambda clip: float(clip.timestamps_s[0])))
+    in_time = sorted(clips.values(), key=lambda clip: float(clip.timestamps_s[0]))
+    fed = feed(both, in_time)
     yield row("both in one run", both.finish(), truth, len(fed.timestamps_s), first_placed_s(fed))
     for name in CLIPS:
         alone = Slam(camera, model)
