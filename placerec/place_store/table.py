@@ -31,9 +31,12 @@ _SAMPLES, _ROUNDS = 64, 10
 _TRIES, _LONGEST_WAIT_S = 20, 2.0
 _KEPT = timedelta(hours=1)
 """How long what was replaced stays there for those who read it; no query takes as long."""
-_CONFLICT = re.compile("conflict|retry", re.IGNORECASE)
+_CONFLICT = re.compile("commit conflict|too many concurrent writers", re.IGNORECASE)
 _SOURCE = re.compile(r",? /\S+\.rs:\d+:\d+")
 """Where in the library's own source an error was noticed, which tells a user nothing."""
+_FROM_AFAR = re.compile(r'<Message>(.*?)</Message>|message: "(.*?)"')
+"""What object storage or the system said, among much that tells a user nothing either."""
+_MOST_SAID = 200  # characters
 
 
 class PlaceTable:
@@ -207,10 +210,12 @@ class PlaceTable:
         except Exception as error:  # mostly ValueError, OSError and RuntimeError
             why = _SOURCE.sub("", cause_of(error))
             if _CONFLICT.search(why):
-                raise ConflictError(why) from error
+                raise ConflictError(f"{why}: {self._address}") from error
+            if said := _FROM_AFAR.search(why):
+                why = said[1] or said[2]
             raise LoopcloseError(
                 "cannot use the store: it is damaged, or its address cannot be reached or written: "
-                f"{why}: {self._address}"
+                f"{why[:_MOST_SAID]}: {self._address}"
             ) from error
 
 
