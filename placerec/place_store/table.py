@@ -225,7 +225,7 @@ class ConflictError(LoopcloseError):
 
 def _library() -> Any:
     # It says on stderr what is no news to anybody, such as that a new table is made.
-    os.environ.setdefault("LANCE_LOG", "error")
+    os.environ.setdefault("LANCEDB_LOG", "error")
     try:
         import lancedb
     except ImportError as error:
