@@ -24,7 +24,7 @@ from placerec.place_store.rows import Rows
 _NAME, _FINGERPRINT = "places", b"fingerprint"
 _COLUMNS = ["session", "keyframe", "time_s", "embedding"]
 _SCHEMES = ("s3", "gs", "az")
-_PROBES, _REFINED = 20, 10
+_PROBES, _REFINED = 20, 4
 """Cells that are looked into, and how many times as many places as wanted are compared exactly."""
 _SAMPLES, _ROUNDS = 64, 10
 """Of k-means: embeddings for each cell, and how often they are assigned anew."""
