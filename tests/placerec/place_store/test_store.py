@@ -36,7 +36,7 @@ def writer(folder: Path, session: str, batches: int) -> "subprocess.Popen[str]":
 
 @pytest.mark.parametrize("is_large", [False, True])
 def test_answers_are_those_of_an_index_to_the_last_bit(opened, unit, monkeypatch, is_large):
-    """The second look of a large store is at far more places than there are cells."""
+    """A large store then looks at all places exactly that its index finds."""
     store, index, rows = opened(), PlaceIndex(), unit(300)
     for k in range(3):
         store.add(f"s{k}", range(100), np.arange(100) / 2, rows[100 * k : 100 * k + 100])
@@ -44,6 +44,7 @@ def test_answers_are_those_of_an_index_to_the_last_bit(opened, unit, monkeypatch
         index.add(row)
     if is_large:
         monkeypatch.setattr(EXACT_UP_TO, 99)
+        monkeypatch.setattr("placerec.place_store.table._REFINED", 300)
         store.tidy()
     for query in unit(5, seed=1):
         ids, similarities = index.query(query, 7)
