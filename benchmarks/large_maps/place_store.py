@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a store of the places of many sessions takes as it grows, a column per size.
+
+    python -m benchmarks.large_maps.place_store [--places 10000 100000] [--queries 500]
+        [--out runs/place_store] [--keep]
+
+The embeddings are made up like real ones: of rooms, each with a path of 100 places that ten
+sessions walk along. What an embedding shares with others of its room, of its place, with its
+neighbours in the same session, and with none, was set so that cosines are spread as those of the
+default recognizer are on images of fr1_xyz and of rendered rooms and desks. Queries are an eleventh
+session of some rooms, and what they should find is computed from the embeddings themselves.
+
+Each size has a process of its own, that its memory can be told, and about 4.2 kB on the disk for
+each place, twice as much while `tidy` works. In the end eight processes add places at once, another
+asks meanwhile, and one that adds is killed; the exit code is 1 where a place is lost. Linux only.
+"""
+
+import argparse
+import functools
+import multiprocessing
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sequences import machine
+from placerec import PlaceStore
+from placerec.place_store.store import EXACT_UP_TO
+
+Vectors = NDArray[np.float32]
+
+SIZE = 1000
+PLACES, SESSIONS = 100, 10  # of a room's path; that walk along it
+OF_ROOM, OF_PLACE, OF_SESSION, OF_IMAGE = 0.15, 0.35, 0.3, 0.2  # shares of the square of a length
+ALIKE = 0.85  # of a place and the next one, and of two images of a session
+TIDIED = 250  # rooms, after which the store is put in order
+WANTED = 10
+WRITERS, BATCHES, BATCH = 8, 20, 50
+
+
+class NoRecognizer:
+    """Stands for what made the embeddings."""
+
+    min_similarity = 0.5
+    fingerprint = "made up"
+
+    def embed(self, image: NDArray[np.uint8]) -> Vectors:
+        """Not asked."""
+        raise NotImplementedError
+
+
+@functools.cache
+def spread() -> Vectors:
+    """Return the (SIZE, SIZE) square root of the covariance of embeddings, turned at random.
+
+    Unlike pairs then have cosines around 0 with a deviation of 0.04.
+    """
+    turned, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((SIZE, SIZE)))
+    variances = (np.arange(SIZE) + 50.0) ** -0.9
+    return np.asarray(turned * np.sqrt(variances / variances.mean())[:, None], np.float32)
+
+
+def walk(rng: np.random.Generator) -> Vectors:
+    """Return (PLACES, SIZE) normal vectors, each like the one before."""
+    steps = rng.standard_normal((PLACES, SIZE), np.float32)
+    for k in range(1, PLACES):
+        steps[k] = ALIKE * steps[k - 1] + np.sqrt(1.0 - ALIKE**2) * steps[k]
+    return steps
+
+
+def views(room: int, sessions: range) -> Vectors:
+    """Return the (S, PLACES, SIZE) embeddings of sessions along a room's path."""
+    rng = np.random.default_rng([0, room])
+    shared = np.sqrt(OF_ROOM) * rng.standard_normal(SIZE, np.float32)
+    shared = shared + np.sqrt(OF_PLACE) * walk(rng)
+    made = []
+    for session in sessions:
+        own = np.random.default_rng([1, room, session])
+        light = np.sqrt(OF_SESSION * own.uniform(0.3, 1.7)) * walk(own)
+        noise = np.sqrt(OF_IMAGE * own.exponential(size=(PLACES, 1)))
+        seen = shared + light + noise * own.standard_normal((PLACES, SIZE), np.float32)
+        turned = seen.astype(np.float32) @ spread()
+        made.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    return np.stack(made)
+
+
+def queries(rooms: int, count: int) -> Vectors:
+    """Return (count, SIZE) embeddings of a session that is in no store."""
+    rng = np.random.default_rng(2)
+    chosen = rng.permutation(rooms)[: max(1, count // 10)]
+    seen = [views(int(room), range(SESSIONS, SESSIONS + 1))[0] for room in chosen]
+    each = -(-count // len(seen))
+    return np.concatenate([one[rng.permutation(PLACES)[:each]] for one in seen])[:count]
+
+
+def name_of(room: int, session: int) -> str:
+    """Return what a session is called."""
+    return f"room{room}/{session}"
+
+
+class Truth:
+    """The places most similar to each query, by comparing all."""
+
+    def __init__(self, asked: Vectors) -> None:
+        self._asked = asked
+        self._best = np.full((len(asked), WANTED), -2.0, np.float32)
+        self._ids = np.zeros((len(asked), WANTED), np.int64)
+
+    def add(self, room: int, seen: Vectors) -> None:
+        """Take notice of a room's (SESSIONS, PLACES, SIZE)."""
+        found = self._asked @ seen.reshape(-1, SIZE).T
+        numbers = np.broadcast_to(room * SESSIONS * PLACES + np.arange(found.shape[1]), found.shape)
+        best = np.concatenate([self._best, found], axis=1)
+        ids = np.concatenate([self._ids, numbers], axis=1)
+        order = np.argpartition(-best, WANTED, axis=1)[:, :WANTED]
+        self._best = np.take_along_axis(best, order, axis=1)
+        self._ids = np.take_along_axis(ids, order, axis=1)
+
+    def recall(self, number: int, found: set[tuple[str, int]]) -> float:
+        """Return the share of a query's most similar places that is among those found."""
+        room, rest = np.divmod(self._ids[number], SESSIONS * PLACES)
+        session, place = np.divmod(rest, PLACES)
+        names = [name_of(*each) for each in zip(room, session, strict=True)]
+        return len(found & set(zip(names, place.tolist(), strict=True))) / WANTED
+
+
+def rooms_of(count: int) -> Iterator[tuple[int, Vectors]]:
+    """Yield so many rooms with their views."""
+    for room in range(count):
+        yield room, views(room, range(SESSIONS))
+
+
+def asked_of(store: PlaceStore, asked: Vectors, truth: Truth) -> tuple[NDArray[np.float64], float]:
+    """Return the seconds of each query, and the mean recall."""
+    took_s, recalls = np.empty(len(asked)), np.empty(len(asked))
+    for k, embedding in enumerate(asked):
+        start_s = time.perf_counter()
+        # As a robot asks that is underway: its own last places, by whatever name, are left out.
+        found = store.query(embedding, WANTED, recent=("me", 0.0))
+        took_s[k] = time.perf_counter() - start_s
+        recalls[k] = truth.recall(k, {(each.session, each.keyframe) for each in found})
+    return took_s, float(recalls.mean())
+
+
+def most_mb() -> float:
+    """Return the most memory that this process had, MB."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+
+
+def size_b(folder: Path) -> int:
+    """Return the bytes of all files in a folder."""
+    return sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())
+
+
+def filled(store: PlaceStore, rooms: int, truth: Truth) -> float:
+    """Add the places of so many rooms, and return the seconds that the store took."""
+    add_s = 0.0
+    for room, seen in rooms_of(rooms):
+        truth.add(room, seen)
+        start_s = time.perf_counter()
+        for session in range(SESSIONS):
+            times_s = 1e5 * session + np.arange(PLACES)
+            store.add(name_of(room, session), np.arange(PLACES), times_s, seen[session])
+        add_s += time.perf_counter() - start_s
+        if (room + 1) % TIDIED == 0 and room + 1 < rooms:
+            store.tidy()
+    return add_s
+
+
+def measure(places: int, count: int, folder: Path) -> dict[str, str]:
+    """Return a column of the table."""
+    rooms = places // (SESSIONS * PLACES)
+    asked = queries(rooms, count)
+    truth, store = Truth(asked), PlaceStore(folder, NoRecognizer())
+    add_s, before_mb = filled(store, rooms, truth), most_mb()
+    few = max(3, min(count, 1_000_000 // places))
+    whole_s, whole_recall = asked_of(store, asked[:few], truth)
+    start_s, start_work_s = time.perf_counter(), time.process_time()
+    store.tidy()
+    tidy_s, tidy_work_s = time.perf_counter() - start_s, time.process_time() - start_work_s
+    tidy_mb = most_mb()
+    start_s = time.perf_counter()
+    store = PlaceStore(folder, NoRecognizer())
+    store.query(asked[0], WANTED)
+    first_s = time.perf_counter() - start_s
+    asked_of(store, asked[: count // 5], truth)
+    work_s = time.process_time()
+    query_s, recall = asked_of(store, asked, truth)
+    work_s = (time.process_time() - work_s) / count
+    indices = size_b(next(folder.glob("*.lance")) / "_indices") if places > EXACT_UP_TO else 0
+    return {
+        "places": f"{rooms * SESSIONS * PLACES:,}",
+        "adding 100, ms": f"{1e3 * add_s / (rooms * SESSIONS):.1f}",
+        "before tidy: query, median, ms": f"{1e3 * np.median(whole_s):.0f}",
+        "before tidy: recall@10": f"{whole_recall:.4f}",
+        "tidy, s": f"{tidy_s:.0f}",
+        "tidy, work, s": f"{tidy_work_s:.0f}",
+        "opening and the first query, ms": f"{1e3 * first_s:.0f}",
+        "query, median, ms": f"{1e3 * np.median(query_s):.1f}",
+        "query, 99 of 100, ms": f"{1e3 * np.quantile(query_s, 0.99):.1f}",
+        "query, work, mean, ms": f"{1e3 * work_s:.1f}",
+        "recall@10": f"{recall:.4f}",
+        "bytes for each place": f"{size_b(folder) / places:.0f}",
+        "of these, for the search": f"{indices / places:.0f}",
+        "memory before tidy, MB": f"{before_mb:.0f}",
+        "most memory, MB": f"{tidy_mb:.0f}",
+    }
+
+
+def write(folder: Path, writer: int, batches: int) -> int:
+    """Add batches of places to a store, and return how many places."""
+    store = PlaceStore(folder, NoRecognizer())
+    seen = views(10**6 + writer, range(1))[0]
+    for batch in range(batches):
+        numbers = np.arange(batch * BATCH, (batch + 1) * BATCH)
+        store.add(f"writer{writer}", numbers, numbers / 2.0, seen[numbers % PLACES])
+    return batches * BATCH
+
+
+def written_at_once(folder: Path) -> tuple[str, bool]:
+    """Let some write at once, kill one that would never end, and say whether nothing is lost."""
+    context = multiprocessing.get_context("spawn")
+    killed = context.Process(target=write, args=(folder, WRITERS, 50 * BATCHES))
+    killed.start()
+    start_s, store, slowest_s = time.perf_counter(), PlaceStore(folder, NoRecognizer()), 0.0
+    query = views(10**6, range(1, 2))[0, 0]
+    with ProcessPoolExecutor(WRITERS, mp_context=context) as pool:
+        tasks = [pool.submit(write, folder, writer, BATCHES) for writer in range(WRITERS)]
+        while not all(task.done() for task in tasks):
+            asked_s = time.perf_counter()
+            store.query(query, WANTED)
+            slowest_s = max(slowest_s, time.perf_counter() - asked_s)
+            if any(task.done() for task in tasks):
+                killed.kill()
+        written = [task.result() for task in tasks]
+    took_s = time.perf_counter() - start_s
+    killed.kill()
+    killed.join()
+    again = PlaceStore(folder, NoRecognizer())
+    seen = [
+        {each.keyframe for each in again.query(query, 10**6, sessions=[f"writer{writer}"])}
+        for writer in range(WRITERS + 1)
+    ]
+    is_whole = all(
+        numbers == set(range(count)) for numbers, count in zip(seen[:-1], written, strict=True)
+    )
+    is_whole &= len(seen[-1]) % BATCH == 0 and len(again) == sum(map(len, seen))
+    text = (
+        f"{WRITERS} writers at once added {sum(written):,} places, {BATCH} at a time, in "
+        f"{took_s:.0f} s, and a ninth {len(seen[-1]):,} until it was killed; "
+        f"{len(again):,} are there. The slowest query meanwhile took {1e3 * slowest_s:.0f} ms."
+    )
+    return text, is_whole
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure and print; return 1 where a place was lost."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--places", type=int, nargs="+", default=(10_000, 100_000), metavar="K")
+    parser.add_argument("--queries", type=int, default=500, metavar="N", help="timed of each size")
+    parser.add_argument("--out", type=Path, default=Path("runs/place_store"), metavar="FOLDER")
+    parser.add_argument("--keep", action="store_true", help="leave the stores there")
+    parsed = parser.parse_args(arguments)
+    if min(parsed.places) < SESSIONS * PLACES or parsed.queries < 10:
+        parser.error(f"--places: at least {SESSIONS * PLACES}; --queries: at least 10")
+    parsed.out.mkdir(parents=True, exist_ok=True)
+    facts, columns = machine(), []
+    for places in parsed.places:
+        folder = parsed.out / f"store_{places}"
+        shutil.rmtree(folder, ignore_errors=True)
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+            columns.append(process.submit(measure, places, parsed.queries, folder).result())
+        if not parsed.keep:
+            shutil.rmtree(folder)
+    lines = [
+        "| " + " | ".join([title, *(each[title] for each in columns)]) + " |"
+        for title in columns[0]
+    ]
+    lines.insert(1, "|---" * (len(columns) + 1) + "|")
+    shutil.rmtree(parsed.out / "writers", ignore_errors=True)
+    said, is_whole = written_at_once(parsed.out / "writers")
+    text = "\n".join(lines) + f"\n\n{parsed.queries} queries, {WANTED} wanted; {facts}.\n\n{said}\n"
+    print(text, end="")
+    (parsed.out / "place_store.md").write_text(text)
+    return 0 if is_whole else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
