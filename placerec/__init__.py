@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from placerec.networks import Preprocessing as Preprocessing
     from placerec.networks import Trunk as Trunk
     from placerec.networks.pretrained import download_pretrained as download_pretrained
-    from placerec.place_store import PlaceStore as PlaceStore
-    from placerec.place_store import SeenPlace as SeenPlace
+    from placerec.places.rows import SeenPlace as SeenPlace
+    from placerec.places.store import PlaceStore as PlaceStore
     from placerec.recognizer import PlaceRecognizer as PlaceRecognizer
     from placerec.recognizer import available as available
     from placerec.recognizer import load as load
@@ -33,10 +33,10 @@ _HOME = {
     "TRUNKS": "placerec.networks",
     "PlaceNetwork": "placerec.networks",
     "PlaceRecognizer": "placerec.recognizer",
-    "PlaceStore": "placerec.place_store",
+    "PlaceStore": "placerec.places.store",
     "Preprocessing": "placerec.networks",
     "RecognizerError": "placerec.errors",
-    "SeenPlace": "placerec.place_store",
+    "SeenPlace": "placerec.places.rows",
     "Training": "placerec.training.loop",
     "TrainingConfig": "placerec.training.config",
     "Trunk": "placerec.networks",

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from placerec.drawing import canvas, line_styles, png, svg
-from placerec.index import PlaceIndex
+from placerec.places.index import PlaceIndex
 from placerec.recognizer import load
 from slam import Camera, Config, Frame, Slam, TrackedFrame, Trajectory, compare_drift
 from slam.commands.opening import DEFAULT_RECOGNIZER

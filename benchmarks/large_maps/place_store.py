@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sequences import machine
 from placerec import PlaceStore
-from placerec.place_store.store import EXACT_UP_TO
+from placerec.places.store import EXACT_UP_TO
 
 Vectors = NDArray[np.float32]
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sequences import machine
 from placerec.checked_recognizer import COSINES
-from placerec.index import PlaceIndex
+from placerec.places.index import PlaceIndex
 from slam.result import compared
 
 WANTED = 10  # places for each query, a few more than run_slam asks for

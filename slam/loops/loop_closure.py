@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from placerec.certificate import certificate_of, fingerprint
 from placerec.checked_recognizer import COSINES, CheckedRecognizer
-from placerec.index import PlaceIndex
+from placerec.places.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
 from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m

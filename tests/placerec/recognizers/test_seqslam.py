@@ -7,7 +7,7 @@ import pytest
 
 from placerec.checked_recognizer import CheckedRecognizer
 from placerec.conformance import check
-from placerec.index import PlaceIndex
+from placerec.places.index import PlaceIndex
 from placerec.recognizers.seqslam import SeqSlam, Thumbnails, stand_out
 
 

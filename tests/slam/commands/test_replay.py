@@ -206,7 +206,7 @@ def test_a_recording_called_replay_is_reached_by_its_path(run, recording, tmp_pa
 
 def test_help_names_and_teaches_it(capsys):
     for typed, told in (
-        (["--help"], "run_slam replay"),
+        (["--help"], "|replay|"),
         (["replay", "--help"], "the same decisions again"),
     ):
         with pytest.raises(SystemExit) as ended:

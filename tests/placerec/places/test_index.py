@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from placerec.checked_recognizer import COSINES
 from placerec.errors import RecognizerError
-from placerec.index import PlaceIndex
+from placerec.places.index import PlaceIndex
 
 
 def _unit(rng: np.random.Generator, count: int, size: int) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_answers_are_those_of_the_plain_comparison_to_the_last_bit(
     rows = _alike(rng, places + 1, size, spread)
     among = rng.random(places) < share
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placerec.index._BLOCK_BYTES", block * size)
+        patch.setattr("placerec.places.index._BLOCK_BYTES", block * size)
         index = PlaceIndex()
         for row in rows[:-1]:
             index.add(row)
@@ -208,7 +208,7 @@ def test_a_recognizer_that_compares_sequences_is_shown_the_recent_past():
 @pytest.mark.parametrize("step", [1, 2, 3, 7])
 @pytest.mark.parametrize("at_once", [1, 30, 60, 1000])
 def test_sequences_are_compared_whole_even_where_few_places_are_shown(step, at_once, monkeypatch):
-    monkeypatch.setattr("placerec.index._ANSWERED_AT_ONCE", at_once)
+    monkeypatch.setattr("placerec.places.index._ANSWERED_AT_ONCE", at_once)
     rng = np.random.default_rng(0)
     rows = np.stack([np.repeat(np.arange(13.0)[:, None], 2, axis=1), _unit(rng, 13, 2)], axis=1)
     sequences = Sequences()

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from placerec.certificate import fingerprint
 from placerec.checked_recognizer import COSINES, CheckedRecognizer, Embeddings
 from placerec.errors import RecognizerError
-from placerec.place_store.rows import SeenPlace, check_embeddings, checked_rows, condition, ranked
-from placerec.place_store.table import ConflictError, PlaceTable
+from placerec.places.rows import SeenPlace, check_embeddings, checked_rows, condition, ranked
+from placerec.places.table import ConflictError, PlaceTable
 from placerec.recognizer import PlaceRecognizer
 
 _log = logging.getLogger(__name__)

@@ -19,7 +19,7 @@ import numpy as np
 
 from placerec.checked_recognizer import MAX_LENGTH_ERROR, Embeddings
 from placerec.errors import LoopcloseError, RecognizerError, cause_of
-from placerec.place_store.rows import Rows
+from placerec.places.rows import Rows
 
 _NAME, _FINGERPRINT = "places", b"fingerprint"
 _COLUMNS = ["session", "keyframe", "time_s", "embedding"]

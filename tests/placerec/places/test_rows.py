@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.errors import RecognizerError
-from placerec.place_store.rows import check_embeddings, checked_rows, condition
+from placerec.places.rows import check_embeddings, checked_rows, condition
 
 ROW = np.eye(4, dtype=np.float32)[:1]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from placerec import LoopcloseError, PlaceStore, RecognizerError, load
-from placerec.index import PlaceIndex
+from placerec.places.index import PlaceIndex
 
 ROOT = Path(__file__).parents[3]
-EXACT_UP_TO = "placerec.place_store.store.EXACT_UP_TO"
+EXACT_UP_TO = "placerec.places.store.EXACT_UP_TO"
 WRITE = """
 import sys
 import numpy as np
@@ -44,7 +44,7 @@ def test_answers_are_those_of_an_index_to_the_last_bit(opened, unit, monkeypatch
         index.add(row)
     if is_large:
         monkeypatch.setattr(EXACT_UP_TO, 99)
-        monkeypatch.setattr("placerec.place_store.table._REFINED", 300)
+        monkeypatch.setattr("placerec.places.table._REFINED", 300)
         store.tidy()
     for query in unit(5, seed=1):
         ids, similarities = index.query(query, 7)
