@@ -20,7 +20,7 @@ from placerec.errors import LoopcloseError, cause_of, deferred_interrupts
 from placerec.recognizer import load
 from slam.commands import COMMANDS
 from slam.commands.opening import DEFAULT_RECOGNIZER, given_poses, opened, settings_file_typed
-from slam.config import Config, load_config
+from slam.config import SECTIONS, Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
@@ -117,19 +117,10 @@ def parse(arguments: list[str]) -> Arguments:
     Raises:
         LoopcloseError: something is wrong with it, or the settings file cannot be used.
     """
-    defaults = settings_file_typed(arguments)
-
-    def read(left: list[str]) -> Arguments:
-        return tyro.cli(
-            Arguments,
-            prog="run_slam",
-            description=_DESCRIPTION + _DETAILS if usage.HELP_ALL in arguments else _DESCRIPTION,
-            args=left,
-            default=Arguments(sequence=tyro.MISSING, settings=defaults),
-        )
-
-    sections = {type(section).__name__: name for name, section in defaults}
-    return _with_map(usage.answered("run_slam", arguments, read, sections))
+    default = Arguments(sequence=tyro.MISSING, settings=settings_file_typed(arguments))
+    description = _DESCRIPTION + _DETAILS if usage.HELP_ALL in arguments else _DESCRIPTION
+    told = usage.parsed(Arguments, "run_slam", description, arguments, default, SECTIONS)
+    return _with_map(told)
 
 
 def _with_map(told: Arguments) -> Arguments:

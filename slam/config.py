@@ -225,6 +225,10 @@ class Config(_Section):
     map: MapConfig = MapConfig()
 
 
+SECTIONS = {type(section).__name__: name for name, section in Config()}
+"""What stands before the dot of a setting's flag, by the name of the class that it is in."""
+
+
 def load_config(path: Path) -> Config:
     """Read settings from a TOML file whose tables are the sections.
 

@@ -14,6 +14,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import version
 from typing import TypeVar
 
+import tyro
 from pydantic import ValidationError
 
 from placerec.commands.console import put
@@ -76,6 +77,27 @@ def answered(
         wrong = _validation_error(ended)
         said = _describe(wrong, sections or {}) if wrong else _said(err.getvalue())
         raise RecognizerError(f"{said}; see {HELP_ALL}") from ended
+
+
+def parsed(
+    kind: type[T],
+    prog: str,
+    description: str,
+    typed: Sequence[str],
+    default: T | None = None,
+    sections: Mapping[str, str] | None = None,
+) -> T:
+    """Return a command line as a dataclass, whose docstrings are the help of its flags.
+
+    The default has the values of what is not typed, unless they are those of the class. The rest is
+    as in `answered`.
+    """
+    values = {} if default is None else {"default": default}
+
+    def read(left: list[str]) -> T:
+        return tyro.cli(kind, prog=prog, description=description, args=left, **values)
+
+    return answered(prog, typed, read, sections)
 
 
 def as_typed(message: str, names: Sequence[str]) -> str:

@@ -22,7 +22,7 @@ from placerec.files import is_file, read_text, write_atomically
 from placerec.recognizer import load
 from slam.commands.named_recordings import NamedRecording, named_recordings
 from slam.commands.opening import DEFAULT_RECOGNIZER, settings_file_typed
-from slam.config import Config, to_toml
+from slam.config import SECTIONS, Config, to_toml
 from slam.types import SlamError
 
 if TYPE_CHECKING:
@@ -123,14 +123,8 @@ def parse(typed: list[str]) -> Arguments:
     Raises:
         LoopcloseError: something is wrong with it, or the settings cannot be read.
     """
-    defaults = settings_file_typed(typed)
-
-    def read(left: list[str]) -> Arguments:
-        default = Arguments(recordings=tyro.MISSING, settings=defaults)
-        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left, default=default)
-
-    sections = {type(section).__name__: name for name, section in defaults}
-    return usage.answered(PROG, typed, read, sections)
+    default = Arguments(recordings=tyro.MISSING, settings=settings_file_typed(typed))
+    return usage.parsed(Arguments, PROG, _DESCRIPTION, typed, default, SECTIONS)
 
 
 def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:

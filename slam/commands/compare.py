@@ -43,11 +43,7 @@ def main(typed: list[str]) -> int:
     Raises:
         LoopcloseError: something is wrong with what was typed, or with a run.
     """
-
-    def read(left: list[str]) -> Arguments:
-        return tyro.cli(Arguments, prog="run_slam compare", description=_DESCRIPTION, args=left)
-
-    told = usage.answered("run_slam compare", typed, read)
+    told = usage.parsed(Arguments, "run_slam compare", _DESCRIPTION, typed)
     if not told.runs:
         raise SlamError("compare needs folders that run_slam wrote; see run_slam compare --help")
     # Loaded from here on, so that --help and typing errors answer at once.

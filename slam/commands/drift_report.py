@@ -41,15 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
     return answer("drift_report", typed, _work, interrupted="interrupted before it was done")
 
 
-def _parse(typed: list[str]) -> Arguments:
-    def read(left: list[str]) -> Arguments:
-        return tyro.cli(Arguments, prog="drift_report", description=_DESCRIPTION, args=left)
-
-    return usage.answered("drift_report", typed, read)
-
-
 def _work(typed: list[str]) -> int:
-    told = _parse(typed)
+    told = usage.parsed(Arguments, "drift_report", _DESCRIPTION, typed)
     # Loaded from here on, so that --help and typing errors answer at once.
     from slam.datasets.pose_files import read_trajectory
     from slam.evaluation.comparison import compare

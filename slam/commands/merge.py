@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`run_slam merge`: saved maps made one, by loops between them."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from slam.output.map_folder.merging import MergedMaps
 
 PROG = "run_slam merge"
+_log = logging.getLogger("slam")
 _DESCRIPTION = """Make one map of maps that were saved, by loops between them.
 
   run_slam merge maps/robot1 maps/robot2 --out maps/both
@@ -53,11 +55,7 @@ def main(typed: list[str]) -> int:
     Raises:
         LoopcloseError: something is wrong with what was typed, or with a map.
     """
-
-    def read(left: list[str]) -> Arguments:
-        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left)
-
-    told = usage.answered(PROG, typed, read)
+    told = usage.parsed(Arguments, PROG, _DESCRIPTION, typed)
     if len(told.maps) < 2:
         raise SlamError("merge needs two maps at least; see run_slam merge --help")
     names = [str(each) for each in told.maps]
@@ -81,16 +79,13 @@ def main(typed: list[str]) -> int:
 
 
 def _tell(merged: "MergedMaps", folder: Path) -> None:
-    import logging
-
-    log = logging.getLogger("slam")
     for each in merged.joins:
         say(
             f"{' - '.join(each.maps)}: {each.used} loops, of {each.verified} verified and"
             f" {each.candidates} candidates"
         )
     for sentence in (*merged.apart.values(), *merged.warnings):
-        log.warning("%s", sentence)
+        _log.warning("%s", sentence)
     for name, sessions in merged.sessions.items():
         say(f"{name} is session {', '.join(map(str, sessions))}")
     say(

@@ -36,11 +36,7 @@ def main(typed: list[str]) -> int:
     Raises:
         LoopcloseError: something is wrong with what was typed, with the map or the recognizer.
     """
-
-    def read(left: list[str]) -> Arguments:
-        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left)
-
-    told = usage.answered(PROG, typed, read)
+    told = usage.parsed(Arguments, PROG, _DESCRIPTION, typed)
     # Loaded from here on, so that --help and typing errors answer at once.
     from slam.output.map_folder.folder import check_place, read_map, save_map
     from slam.output.map_folder.reembedding import reembedded

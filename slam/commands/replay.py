@@ -12,7 +12,7 @@ import tyro
 from placerec.commands import usage
 from placerec.commands.console import say
 from placerec.errors import LoopcloseError, cause_of
-from slam.config import Config, load_config
+from slam.config import SECTIONS, Config, load_config
 from slam.types import SlamError
 
 if TYPE_CHECKING:
@@ -131,16 +131,9 @@ def parse(typed: list[str], again: Again = _REPLAY) -> Arguments:
 
 
 def _parse(typed: list[str], again: Again, defaults: Config) -> Arguments:
+    default = Arguments(run=tyro.MISSING, settings=defaults)
     prog = f"run_slam {again.name}"
-
-    def read(left: list[str]) -> Arguments:
-        default = Arguments(run=tyro.MISSING, settings=defaults)
-        return tyro.cli(
-            Arguments, prog=prog, description=again.description, args=left, default=default
-        )
-
-    sections = {type(section).__name__: name for name, section in defaults}
-    return usage.answered(prog, typed, read, sections)
+    return usage.parsed(Arguments, prog, again.description, typed, default, SECTIONS)
 
 
 def _refuse_what_cannot_be(before: Config, now: Config, measured: "Measurements") -> None:

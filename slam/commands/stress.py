@@ -55,11 +55,7 @@ def main(typed: list[str]) -> int:
     Raises:
         LoopcloseError: something is wrong with what was typed, or with the recording.
     """
-
-    def read(left: list[str]) -> Arguments:
-        return tyro.cli(Arguments, prog=PROG, description=_DESCRIPTION, args=left)
-
-    told = usage.answered(PROG, typed, read)
+    told = usage.parsed(Arguments, PROG, _DESCRIPTION, typed)
     from slam.output.stress.stressors import chosen
 
     names = chosen(told.only)
