@@ -11,7 +11,7 @@ from placerec.files import is_file
 from slam.config import Config, load_config
 from slam.output.claimed_folder import JOURNAL, UNFINISHED
 from slam.output.comparison.page import as_page
-from slam.output.comparison.runs import read_summary
+from slam.output.comparison.runs import in_one, read_summary
 from slam.output.comparison.tables import Table, as_csv
 
 PAGE, FIGURES = "batch.html", "batch.csv"
@@ -87,12 +87,11 @@ def what_differs(
         return f"it is of `{summary.get('command')}`"
     if Path(told[1]).resolve() != Path(command[1]).resolve():
         return f"it is of the recording {told[1]}"
-    before = load_config(folder / "settings.toml")
+    before = in_one(load_config(folder / "settings.toml").model_dump())
     return ", ".join(
-        f"{section}.{name} is {getattr(getattr(before, section), name)} there and {value} here"
-        for section, values in config
-        for name, value in values
-        if getattr(getattr(before, section), name) != value
+        f"{name} is {before[name]} there and {value} here"
+        for name, value in in_one(config.model_dump()).items()
+        if before[name] != value
     )
 
 
