@@ -49,6 +49,11 @@ class Camera:
         """The (3, 3) intrinsic matrix, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @property
+    def preview_shape(self) -> tuple[int, int]:
+        """Height and width of an image at `PREVIEW_SCALE`, pixels."""
+        return self.height // 2, self.width // 2
+
 
 @dataclass(frozen=True)
 class Frame:

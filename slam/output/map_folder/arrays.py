@@ -154,7 +154,7 @@ def _keyframes(arrays: Arrays, the_map: LandmarkMap, cameras: Sequence[Camera]) 
             mapped.features,
             kept_frame(
                 stamps_s[k],
-                (camera.height // 2, camera.width // 2),
+                camera.preview_shape,
                 camera.depth_scale,
                 color[k],
                 depth[k],

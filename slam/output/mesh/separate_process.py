@@ -41,7 +41,7 @@ def meshes_apart(folder: Path, result: SlamResult, config: MapConfig) -> MapMesh
     voxel_m, max_depth_m = sizes(result, config)
     shrunk = PREVIEW_SCALE * np.array(pinhole(result.camera))
     files = [str(folder / name) for name in MESHES[-len(paths) :]]
-    shape = (result.camera.height // 2, result.camera.width // 2)
+    shape = result.camera.preview_shape
     told = json.dumps([files, len(keyframes), shape, shrunk.tolist(), voxel_m, max_depth_m])
     with tempfile.TemporaryFile() as complaints:
         answer, code = _asked(told, _sent(keyframes, paths, result.camera), complaints)
@@ -119,9 +119,8 @@ def _sent(
 
     It is that of the run's camera, whatever took a keyframe.
     """
-    shape = (camera.height // 2, camera.width // 2)
     cameras = {each.camera or camera for each in keyframes}
-    straight = {each: straight_pixels(camera, shape, each) for each in cameras}
+    straight = {each: straight_pixels(camera, each) for each in cameras}
     for path in paths:
         for keyframe, T_world_cam in zip(keyframes, path, strict=True):
             shown = keyframe.preview
@@ -132,19 +131,18 @@ def _sent(
 
 
 def straight_pixels(
-    camera: Camera, shape: tuple[int, ...], taken_by: Camera | None = None
+    camera: Camera, taken_by: Camera
 ) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
-    """Return for each pixel of a straight image where the preview shows it, and whether nowhere.
+    """Return for each pixel of a camera's straight preview where that of another one shows it.
 
-    The preview is of another camera than the image where that is told.
+    The mask says which ones it does not show.
     """
-    other = taken_by or camera
-    height, width = shape if taken_by is None else (other.height // 2, other.width // 2)
+    shape, (height, width) = camera.preview_shape, taken_by.preview_shape
     v, u = np.mgrid[: shape[0], : shape[1]].reshape(2, -1) / PREVIEW_SCALE
-    if other != camera:
-        u = (u - camera.cx) * (other.fx / camera.fx) + other.cx
-        v = (v - camera.cy) * (other.fy / camera.fy) + other.cy
-    seen = PREVIEW_SCALE * distort(np.column_stack([u, v]), other)
+    if taken_by != camera:
+        u = (u - camera.cx) * (taken_by.fx / camera.fx) + taken_by.cx
+        v = (v - camera.cy) * (taken_by.fy / camera.fy) + taken_by.cy
+    seen = PREVIEW_SCALE * distort(np.column_stack([u, v]), taken_by)
     columns, rows = np.rint(seen).astype(np.int64).T.reshape(2, *shape)
     is_outside = (rows < 0) | (rows >= height) | (columns < 0) | (columns >= width)
     return rows.clip(0, height - 1), columns.clip(0, width - 1), is_outside
