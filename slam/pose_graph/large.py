@@ -29,8 +29,8 @@ def solve_large(graph: PoseGraph, inlier_probability: float) -> GraphSolution:
     T, squared = graduated(system, limit)
     T, kept, squared = _at_rest(system, T, squared < limit, limit)
     said: tuple[str, ...] = ()
-    differing = _differing(system, T, kept, squared, limit)
-    if graph.loops and differing is not None:
+    differing = _differing(system, T, kept, squared, limit) if graph.loops else None
+    if differing is not None:
         bridges = doubts_of_bridges(graph, system, inlier_probability, kept, squared)
         said = (*doubts(kept, differing), *bridges)
     elif graph.loops:
