@@ -34,9 +34,8 @@ from slam import (
 )
 from slam.commands.opening import DEFAULT_RECOGNIZER
 from slam.demo import LAP_S, render_sequence
+from slam.evaluation.drift import trajectory_error
 from slam.evaluation.motion_truth import judge_loops
-from slam.evaluation.trajectory import align, poses_at
-from slam.geometry import se3
 
 CAMERAS = {
     "kinect": Camera(640, 480, 525.0, 525.0, 319.5, 239.5),
@@ -67,11 +66,12 @@ def mapped(folder: Path, number: int, recognizer: PlaceRecognizer) -> SavedMap:
 
 def ate_m(one: SavedMap, truth: Trajectory) -> float:
     """Return the root mean square error of a map's keyframes, laid on the truth."""
-    stamps_s = np.array([each.timestamp_s for each in one.keyframes])
-    found_m = np.array([each.T_odom_cam[:3, 3] for each in one.keyframes])
-    true_m = poses_at(truth, stamps_s, 0.02)[:, :3, 3]
-    errors_m = se3.transform(align(found_m, true_m), found_m) - true_m
-    return float(np.sqrt((errors_m**2).sum(axis=1).mean()))
+    keyframes = sorted(one.keyframes, key=lambda each: each.timestamp_s)
+    found = Trajectory(
+        np.array([each.timestamp_s for each in keyframes]),
+        np.array([each.T_odom_cam for each in keyframes]),
+    )
+    return trajectory_error(found, truth, Config().evaluation).ate_rmse_m
 
 
 def false_loops(one: SavedMap, truth: Trajectory) -> int:
