@@ -92,10 +92,10 @@ def parsed(
     The default has the values of what is not typed, unless they are those of the class. The rest is
     as in `answered`.
     """
-    values = {} if default is None else {"default": default}
+    values = tyro.MISSING_NONPROP if default is None else default
 
     def read(left: list[str]) -> T:
-        return tyro.cli(kind, prog=prog, description=description, args=left, **values)
+        return tyro.cli(kind, prog=prog, description=description, args=left, default=values)
 
     return answered(prog, typed, read, sections)
 
