@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
     from slam.loops.correction import Correction as Correction
-    from slam.loops.submaps import SavedMap as SavedMap
+    from slam.loops.saved_map import SavedMap as SavedMap
     from slam.output.ledger import LoopRecord as LoopRecord
     from slam.output.ledger import read_ledger as read_ledger
     from slam.output.live.view import LiveView as LiveView
@@ -50,7 +50,7 @@ _HOME = {
     "LoopRecord": "slam.output.ledger",
     "LoopcloseError": "placerec.errors",
     "Rejection": "slam.types",
-    "SavedMap": "slam.loops.submaps",
+    "SavedMap": "slam.loops.saved_map",
     "Slam": "slam.system",
     "SlamError": "slam.types",
     "SlamResult": "slam.result",

@@ -24,8 +24,8 @@ from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.correction import Correction
 from slam.loops.final_adjustment import adjusted
 from slam.loops.remembered import Remembered
+from slam.loops.saved_map import SavedMap
 from slam.loops.stage_clock import StageClock
-from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult, compared

@@ -11,7 +11,8 @@ from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.trust import Trust, Verdict, judge
 from slam.geometry import se3
 from slam.loops.correction import Correction
-from slam.loops.submaps import Loop, SavedMap, Submap, joined, joined_by_steps, submap_of
+from slam.loops.saved_map import SavedMap
+from slam.loops.submaps import Loop, Submap, joined, joined_by_steps, submap_of
 from slam.pose_graph import GraphSolution, PoseGraph
 from slam.types import FloatArray, Keyframe, Link, LoopAttempt, RelativePose
 

@@ -4,9 +4,8 @@
 import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +18,15 @@ from slam.geometry import se3
 from slam.geometry.freed_memory import give_back
 from slam.loops.atlas import Atlas, LargestSubmap
 from slam.loops.correction import Correction
-from slam.loops.correction_schedule import CorrectionSchedule
 from slam.loops.cost_of_odometry import borne_out
 from slam.loops.evidence import Evidence
 from slam.loops.loop_closure import LoopCloser
+from slam.loops.on_the_way.corrections import CorrectionsOnTheWay
 from slam.loops.outcomes import in_the_end, refusals
-from slam.loops.settled import Settled
+from slam.loops.saved_map import SavedMap
 from slam.loops.stage_clock import StageClock
-from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.stored_map import part_of_map
-from slam.pose_graph import GraphSolution, PoseGraph, leave_one_out, solve_beside
+from slam.pose_graph import GraphSolution, PoseGraph, leave_one_out
 from slam.types import (
     Camera,
     FloatArray,
@@ -74,14 +71,12 @@ class BackEnd:
 
     Tracking needs none of the answers and waits only where the queue of keyframes is full. So the
     work cannot pile up, and results do not depend on which thread was faster. Corrections on the
-    way are solved in a second thread, whenever enough new loops came, and nobody waits for them.
+    way are solved whenever enough new loops came, and nobody waits for them.
 
     Attributes:
         keyframes: those that were taken in completely.
         attempts: every loop candidate so far, in the order they were looked at.
         loop_closer: what finds their loops; to be asked once the queue is empty.
-        corrections: each `Correction` of the run by its version; the first knows of no loop, the
-            last holds now. In a large graph only the last tells where keyframes are, T_world_kf.
     """
 
     def __init__(
@@ -92,17 +87,17 @@ class BackEnd:
         self._atlas = Atlas()
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="loops")
-        self._solver = ThreadPoolExecutor(1, thread_name_prefix="corrections")
-        self._schedule = CorrectionSchedule()
-        self._solving: list[Future[None]] = []
-        self._solved: Mapping[int, FloatArray] = {}  # what the last correction was made of
-        self._settled = Settled()
+        self._on_the_way = CorrectionsOnTheWay(self._inlier_probability, clock)
         self._queue: deque[Future[tuple[LoopAttempt, ...]]] = deque()
         self._failure: Exception | None = None  # nothing after it is taken in
         self.attempts: list[LoopAttempt] = []
         self.keyframes: list[Keyframe] = []
         self._evidence = Evidence()
-        self.corrections = [Correction(0, -1, {}, {})]
+
+    @property
+    def corrections(self) -> Sequence[Correction]:
+        """Each correction of the run, as `CorrectionsOnTheWay.all`."""
+        return self._on_the_way.all
 
     def load(self, saved: SavedMap, is_world: bool = True) -> None:
         """Begin with an earlier map, as if its keyframes had been taken in, where it has them.
@@ -115,7 +110,7 @@ class BackEnd:
         self.attempts = list(saved.attempts)
         T_world_kf = {each.id: each.T_odom_cam for each in saved.keyframes}
         T_world_odom = {each.segment: np.eye(4) for each in saved.keyframes[:1]}
-        self.corrections = [Correction(0, len(saved.keyframes) - 1, T_world_kf, T_world_odom)]
+        self._on_the_way.begin(Correction(0, len(saved.keyframes) - 1, T_world_kf, T_world_odom))
 
     @property
     def is_empty(self) -> bool:
@@ -140,7 +135,7 @@ class BackEnd:
         if self.is_empty:  # its camera is where the world begins
             T_world_odom = {keyframe.segment: se3.inverse(keyframe.T_odom_cam)}
             T_world_given = se3.inverse(given.T_given_cam) if given else None
-            self.corrections = [Correction(0, -1, {}, T_world_odom, T_world_given)]
+            self._on_the_way.begin(Correction(0, -1, {}, T_world_odom, T_world_given))
         if len(self._queue) == _MAX_QUEUED:
             self._next_result()
         # A copy: cameras reuse their memory.
@@ -182,13 +177,12 @@ class BackEnd:
             RecognizerError: the recognizer failed on a keyframe; without it, ask again.
         """
         self.settle()
-        while self._solving:
-            self._solving.pop(0).result()
+        self._on_the_way.catch_up()
 
     def _catch_up_with_what_failed(self) -> None:
         # The end needs no correction on the way: one that failed is told by `catch_up` alone.
         self.settle()
-        wait(self._solving)
+        self._on_the_way.wait()
 
     def solve(
         self,
@@ -246,44 +240,22 @@ class BackEnd:
         Raises:
             RecognizerError: nothing tells its recognizer from others.
         """
-        placed = np.flatnonzero(np.isfinite(T_world_kf[:, 0, 0]))
-        number = dict(zip(placed.tolist(), range(len(placed)), strict=True))
-        used = [
-            (replace(each, query_id=number[each.query_id], match_id=number[each.match_id]), key)
-            for key, each in enumerate(attempts)
-            if each.rejection is None and each.query_id in number and each.match_id in number
-        ]
-        part = part_of_map(the_map, placed.tolist())
-        part.move_keyframes(range(len(placed)), T_world_kf[placed])
-        return SavedMap(
+        used = [key for key, each in enumerate(attempts) if each.rejection is None]
+        keyframe_ids = np.arange(len(self.keyframes))
+        whole = SavedMap(
             camera=the_map.camera,
             fingerprint=self.loop_closer.fingerprint,
-            keyframes=tuple(
-                replace(
-                    self.keyframes[k],
-                    id=n,
-                    T_odom_cam=T_world_kf[k],
-                    segment=0,
-                    camera=self.keyframes[k].camera or the_map.camera,
-                )
-                for k, n in number.items()
-            ),
-            sessions=sessions[placed],
-            frames=np.array([frames.get(k, 0) for k in number], np.int64),
-            embeddings=self.loop_closer.embeddings[placed],
-            is_new=self.loop_closer.is_new(placed),
-            links=tuple(
-                Link(number[each.ref_id], number[each.query_id], each.motion)
-                for each in links
-                if each.ref_id in number and each.query_id in number
-            ),
-            loops=tuple(
-                replace(self._atlas.loop(key), ref_id=each.match_id, query_id=each.query_id)
-                for each, key in used
-            ),
-            attempts=tuple(each for each, _ in used),
-            the_map=part,
+            keyframes=tuple(self.keyframes),
+            sessions=sessions,
+            frames=np.array([frames.get(k, 0) for k in keyframe_ids.tolist()], np.int64),
+            embeddings=self.loop_closer.embeddings,
+            is_new=self.loop_closer.is_new(keyframe_ids),
+            links=tuple(links),
+            loops=tuple(self._atlas.loop(key) for key in used),
+            attempts=tuple(attempts[key] for key in used),
+            the_map=the_map,
         )
+        return whole.placed(T_world_kf)
 
     def unsolved(self, T_odom_kf: Mapping[int, FloatArray]) -> ClosedLoops:
         """Return the keyframes as the last correction on the way has them, where it has them.
@@ -319,7 +291,7 @@ class BackEnd:
     def _solve(self, graph: PoseGraph) -> GraphSolution:
         from slam.pose_graph import solve  # GTSAM, which only the end needs
 
-        return solve(replace(graph, solved=self._solved), self._inlier_probability)
+        return solve(replace(graph, solved=self._on_the_way.solved), self._inlier_probability)
 
     def _next_result(self) -> tuple[LoopAttempt, ...]:
         try:
@@ -367,25 +339,6 @@ class BackEnd:
         for attempt in attempts:
             if attempt.rejection is None:
                 _log.info("keyframe %d sees keyframe %d again", attempt.query_id, attempt.match_id)
-        if self._schedule.is_due(keyframe, self._atlas.loops, given is not None):
-            self._solving.append(self._solver.submit(self._correct, keyframe.id, *self._largest()))
+        if self._on_the_way.is_due(keyframe, self._atlas.loops, given is not None):
+            self._on_the_way.add(keyframe.id, *self._largest())
         return attempts
-
-    def _correct(self, newest_id: int, largest: LargestSubmap, by_images: LargestSubmap) -> None:
-        with self._clock.stage("correct"):
-            settled = self._settled.of(largest.graph)
-            found = borne_out(largest, by_images, partial(self._solve_beside, settled))
-            if self._solved and self._settled.is_contradicted(*found):
-                # From nothing: whoever begins at a mistake sees the truth as what does not fit.
-                settled, self._solved = {}, {}
-                found = borne_out(largest, by_images, partial(self._solve_beside, settled))
-            largest, solution = found
-            self._settled.take(largest, solution, is_whole=not settled)
-        self._solved, before = solution.T_world_kf, self.corrections[-1]
-        self.corrections.append(largest.correction(before, newest_id, solution))
-        if largest.graph.is_large:  # each has all keyframes again, and the newest alone is asked
-            self.corrections[-2] = replace(before, T_world_kf={})
-
-    def _solve_beside(self, settled: Mapping[int, FloatArray], graph: PoseGraph) -> GraphSolution:
-        graph = replace(graph, solved=self._solved)
-        return solve_beside(graph, self._inlier_probability, settled)

@@ -19,8 +19,8 @@ from slam.loops.adaptive_threshold import AdaptiveThreshold
 from slam.loops.known_distances import KnownDistances
 from slam.loops.novelty import Novelty
 from slam.loops.remembered import Remembered
+from slam.loops.saved_map import SavedMap
 from slam.loops.second_look import SecondLook
-from slam.loops.submaps import SavedMap
 from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of the map, and how loops between them say that they lie; and a whole one, to be kept."""
+"""Parts of the map, and how loops between them say that they lie."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.geometry import se3
-from slam.mapping.landmark_map import LandmarkMap
-from slam.types import Camera, FloatArray, IntArray, Keyframe, Link, LoopAttempt, RelativePose
+from slam.types import FloatArray, Link, RelativePose
 
 NEEDED_PLACES = 2
 """Places at which loops have to agree how two submaps lie before the two become one.
@@ -82,40 +80,6 @@ class Submap:
     def places(self, keyframe_ids: Iterable[int]) -> FloatArray:
         """Return (N, 4, 4), where keyframes are in it."""
         return np.array([self.T_submap_kf[k] for k in keyframe_ids])
-
-
-@dataclass(frozen=True)
-class SavedMap:
-    """A map for later runs: the keyframes that have a place, what joins them, and what they show.
-
-    Attributes:
-        camera: of the recording that it began with; keyframes name theirs.
-        fingerprint: of the recognizer that made the embeddings.
-        keyframes: K, numbered from 0; T_odom_cam is in the map's frame, and all are one segment.
-        sessions: (K,) the number of the recording that each is from.
-        frames: (K,) how many frames were placed against each.
-        embeddings: (K, *S) float32.
-        is_new: (K,) bool, whether it showed something new of its place.
-        links: the motions between keyframes that are no loops; they lead to every one.
-        loops: those in use.
-        attempts: the same loops, with how alike the views are, their weights and their numbers of
-            matches, but not the matches.
-        the_map: landmarks, and the same keyframes with what they see.
-        ledger: every loop decision, as lines of the ledger; of the runs until now.
-    """
-
-    camera: Camera
-    fingerprint: str
-    keyframes: tuple[Keyframe, ...]
-    sessions: IntArray
-    frames: IntArray
-    embeddings: NDArray[np.float32]
-    is_new: NDArray[np.bool_]
-    links: tuple[Link, ...]
-    loops: tuple[Loop, ...]
-    attempts: tuple[LoopAttempt, ...]
-    the_map: LandmarkMap
-    ledger: tuple[str, ...] = ()
 
 
 def submap_of(submaps: Sequence[Submap]) -> dict[int, int]:

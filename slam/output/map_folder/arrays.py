@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.geometry.keyframe_memory import compressed, kept_frame
-from slam.loops.submaps import Loop, SavedMap
+from slam.loops.saved_map import SavedMap
+from slam.loops.submaps import Loop
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.stored_map import (
     FEATURES,

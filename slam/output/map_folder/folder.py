@@ -20,7 +20,7 @@ from placerec.errors import cause_of, printable
 from placerec.files import is_file, read_json, write_atomically
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.loops.submaps import SavedMap
+from slam.loops.saved_map import SavedMap
 from slam.output.claimed_folder import locked, sync
 from slam.output.decision import Decision, decisions
 from slam.output.ledger import ledger_line

@@ -16,8 +16,8 @@ from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.loop_closure import LoopCloser
+from slam.loops.saved_map import SavedMap
 from slam.loops.stage_clock import StageClock
-from slam.loops.submaps import SavedMap
 from slam.mapping.map_adjustment import adjust_with_loops, size_warning
 from slam.mapping.stored_map import side_by_side
 from slam.output.decision import Decision

@@ -11,7 +11,7 @@ from placerec.files import Progress
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
 from slam.geometry.keyframe_memory import full_size
-from slam.loops.submaps import SavedMap
+from slam.loops.saved_map import SavedMap
 
 
 def reembedded(

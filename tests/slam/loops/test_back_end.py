@@ -190,7 +190,7 @@ def test_a_large_map_is_corrected_and_solved_from_its_last_correction(keyframes,
         started.append((list(graph.solved), list(settled)))
         return solve_beside(graph, probability, settled)
 
-    monkeypatch.setattr("slam.loops.back_end.solve_beside", beside)
+    monkeypatch.setattr("slam.loops.on_the_way.corrections.solve_beside", beside)
     behind = back_end(Gate(), min_gap=2)
     for keyframe, tie, rgb in drifting(keyframes):
         behind.insert(keyframe, tie, {}, rgb)
@@ -223,7 +223,7 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
         assert is_let.wait(10.0)
         return solve_beside(*asked)
 
-    monkeypatch.setattr("slam.loops.back_end.solve_beside", slow)
+    monkeypatch.setattr("slam.loops.on_the_way.corrections.solve_beside", slow)
     behind = back_end(Gate(), min_gap=2)
     for keyframe, tie, rgb in drifting(keyframes):
         behind.insert(keyframe, tie, {}, rgb)
@@ -237,7 +237,7 @@ def test_who_asks_for_the_correction_does_not_wait(keyframes, monkeypatch):
 def test_the_first_loops_of_another_segment_do_not_wait_for_as_many_as_there_are(
     keyframes, monkeypatch
 ):
-    monkeypatch.setattr("slam.loops.correction_schedule._LOOP_GROWTH", 10.0)
+    monkeypatch.setattr("slam.loops.on_the_way.schedule._LOOP_GROWTH", 10.0)
     behind = back_end(Gate(), min_gap=2)
     for keyframe, rgb in keyframes:
         behind.insert(keyframe, links(keyframe), {}, rgb)

@@ -3,7 +3,7 @@ from collections import Counter
 
 import numpy as np
 
-from slam.loops.correction_schedule import CorrectionSchedule
+from slam.loops.on_the_way.schedule import CorrectionSchedule
 from slam.types import Keyframe
 
 
