@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.live import ROUGH, graduated, squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
-from slam.pose_graph.second_opinion import contested, doubts, doubts_of_bridges, second_opinion
+from slam.pose_graph.second_opinion.opinion import (
+    contested,
+    doubts,
+    doubts_of_bridges,
+    second_opinion,
+)
 from slam.types import FloatArray
 
 _MOST_STEPS = 20

@@ -9,7 +9,7 @@ from slam.pose_graph.graph import GraphSolution, PoseGraph
 from slam.pose_graph.large import solve_large
 from slam.pose_graph.motion_system import MotionSystem
 from slam.pose_graph.robust import LINEAR, SUPER_LINEAR, solve_robustly
-from slam.pose_graph.second_opinion import second_opinion
+from slam.pose_graph.second_opinion.opinion import second_opinion
 from slam.types import MIN_TRUSTED_WEIGHT, FloatArray, Link
 
 _ANCHOR_NOISE = gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)

@@ -11,7 +11,7 @@ from slam.pose_graph import GraphSolution, PoseGraph, solve, solve_beside
 from slam.pose_graph.large import solve_large
 from slam.pose_graph.motion_system import MotionSystem
 from slam.pose_graph.robust import solve_robustly
-from slam.pose_graph.second_opinion import Opinion
+from slam.pose_graph.second_opinion.opinion import Opinion
 from slam.types import FloatArray, Link, RelativePose
 
 KEYFRAMES_PER_ROUND = 30

@@ -7,7 +7,7 @@ import pytest
 from slam.pose_graph import solve
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
-from slam.pose_graph.second_opinion import _best_consensus
+from slam.pose_graph.second_opinion.opinion import _best_consensus
 
 PER_ROUND = 40  # keyframes of the corridors
 PROBABILITY = 0.95

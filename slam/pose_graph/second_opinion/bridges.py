@@ -10,9 +10,9 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from slam.pose_graph.clusters import clusters
 from slam.pose_graph.graph import PoseGraph
 from slam.pose_graph.motion_system import MotionSystem
+from slam.pose_graph.second_opinion.clusters import clusters
 from slam.types import IntArray
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from slam.pose_graph.clusters import clusters
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
+from slam.pose_graph.second_opinion.clusters import clusters
 
 WIDE = squared_error_limit(0.999)
 

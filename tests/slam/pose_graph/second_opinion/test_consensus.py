@@ -5,17 +5,15 @@ import numpy as np
 import pytest
 
 from slam.geometry import se3
-from slam.pose_graph.consensus import (
-    Consensus,
-    _are_all_over,
-    _evidence_by_reach,
-    _Growth,
-    consensus,
-    drift,
-)
 from slam.pose_graph.graph import PoseGraph
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
+from slam.pose_graph.second_opinion.consensus import (
+    Consensus,
+    _evidence_by_reach,
+    _Growth,
+    consensus,
+)
 from slam.types import FloatArray, Link, RelativePose
 
 PER_ROUND = 40  # keyframes of the corridors
@@ -165,25 +163,5 @@ def test_poses_that_did_not_come_to_rest_are_no_end(corridors, monkeypatch):
     world = corridors()
     graph = world.graph(world.true(0))
     assert found(graph).is_complete
-    monkeypatch.setattr("slam.pose_graph.consensus._MOST_STEPS", 1)
+    monkeypatch.setattr("slam.pose_graph.second_opinion.consensus._MOST_STEPS", 1)
     assert not found(graph).is_complete
-
-
-def times(loops, world):
-    return drift(MotionSystem(world.graph(loops)), np.ones(len(loops), np.bool_))
-
-
-def test_drift_is_that_of_most_loops(corridors):
-    assert times(corridors().all_over(), corridors()) == pytest.approx(1.0, abs=0.3)
-    bent = corridors(bend=0.5)
-    loops = bent.all_over()
-    assert 2.0 < times(loops, bent) < 3.0
-    assert times(loops + bent.alike(30, 72, 3), bent) == pytest.approx(times(loops, bent), abs=0.3)
-
-
-def test_loops_lie_all_over_where_they_spread_as_the_map_does(corridors):
-    world = corridors()
-    system = MotionSystem(world.graph(world.all_over()))
-    at = np.arange(15)
-    assert _are_all_over(system, system.T_links, at >= 0)
-    assert not _are_all_over(system, system.T_links, at < 5)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.geometry import se3
-from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
 from slam.types import FloatArray
 
@@ -31,12 +30,6 @@ _MOST_STEPS, _AT_REST = 10, 1e-3
 _ENOUGH, _LEAST_SCALE = 20, 0.02
 _LITTLE_TURN_RAD = 0.5
 _PAIRS, _SEED = 2000, 1  # of poses that tell how large the map is
-# An odometry may drift so many times as far as its links say; our own came to 1.1 to 2.0 over a lap
-# of seven rendered rooms.
-_MOST_DRIFT = 3.0
-# The least variance of where believed loops are then, as a share of that of all poses: seven tenths
-# of a straight way have it, and nearly half of a round.
-_ALL_OVER = 0.5
 
 
 @dataclass(frozen=True)
@@ -81,47 +74,6 @@ def consensus(
     return min(results, key=lambda result: (not result.is_complete, growth.cost(result)))
 
 
-def drift(system: MotionSystem, kept: NDArray[np.bool_]) -> float:
-    """Return how many times as far as its links say an odometry is off, by most of L kept loops.
-
-    Links are taken for independent, so what a way is off grows with the root of its length. What
-    bends one link often bends the next alike, as a wrong scale does, and then it grows with the
-    length: over a lap every true loop is beyond what the links foretell, by about one factor.
-    """
-    alone = system.with_only(np.zeros(system.loop_count, np.bool_))
-    errors, covariance = system.with_only(kept).predicted(
-        system.T_links, alone.draws(system.T_links)
-    )
-    typical = float(np.median(_squared(errors, covariance)))
-    return float(np.sqrt(typical / squared_error_limit(0.5, system.is_planar)))
-
-
-def foretold_despite(
-    times: float, system: MotionSystem, limit: float, wide: float, kept: NDArray[np.bool_]
-) -> Consensus | None:
-    """Return what an odometry foretells that drifts so many times as far as its links say.
-
-    False loops that agree with each other say it, too, but for two things: they are rarely so near,
-    and those of places that look alike lie at these places only. So it is None where that is too
-    far, or not most of the L kept loops are foretold then, or those that are lie at one place.
-    """
-    if not 1.0 < times <= _MOST_DRIFT:
-        return None
-    found = consensus(system.drifting(times), limit, wide, kept & system.bridges)
-    agreed = found.kept & kept
-    is_most = 2 * np.count_nonzero(agreed) > np.count_nonzero(kept)
-    if not found.is_complete or not is_most or not _are_all_over(system, found.T_world_kf, agreed):
-        return None
-    return found
-
-
-def _are_all_over(system: MotionSystem, T_world_kf: FloatArray, kept: NDArray[np.bool_]) -> bool:
-    """Return whether L kept loops lie all over the map of (K, 4, 4) poses."""
-    positions_m = T_world_kf[:, :3, 3]
-    places_m = positions_m[system.loop_ends[kept, 0]]
-    return bool(places_m.var(axis=0).sum() > _ALL_OVER * positions_m.var(axis=0).sum())
-
-
 class _Growth:
     """A map that takes in one loop after the other."""
 
@@ -145,7 +97,7 @@ class _Growth:
         for _ in range(rounds):
             draws = system.with_only(self._kept).draws(self._T)
             errors, covariance = system.predicted(self._T, draws)
-            squared = _squared(errors, covariance)
+            squared = squared_errors(errors, covariance)
             is_open = ~self._kept & (squared < scale * self._wide)
             evidence = _evidence(errors, scale * covariance, spread) + self._by_reach
             new = _next(np.where(is_open & (trials < _MOST_TRIALS), evidence, -np.inf))
@@ -245,10 +197,11 @@ def _evidence(errors: FloatArray, covariance: FloatArray, spread: FloatArray) ->
 
 def _log_density(errors: FloatArray, covariance: FloatArray) -> FloatArray:
     volume = np.linalg.slogdet(covariance)[1]
-    return np.asarray(-0.5 * (_squared(errors, covariance) + volume))
+    return np.asarray(-0.5 * (squared_errors(errors, covariance) + volume))
 
 
-def _squared(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+def squared_errors(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return (L,) squared errors of (L, 6) in units of their (L, 6, 6) covariance."""
     weighted = np.linalg.solve(covariance, errors[..., None])[..., 0]
     return np.asarray((errors * weighted).sum(axis=-1))
 

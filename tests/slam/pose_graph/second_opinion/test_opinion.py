@@ -6,7 +6,7 @@ import pytest
 
 from slam.geometry import se3
 from slam.pose_graph import solve
-from slam.pose_graph.second_opinion import contested, doubts, second_opinion
+from slam.pose_graph.second_opinion.opinion import contested, doubts, second_opinion
 from slam.types import Link, RelativePose
 
 PROBABILITY = 0.95

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What GNC made of the loops, compared with the consensus, and what there is to doubt."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.pose_graph.bridges import bridge_doubts, rivals, with_rival
-from slam.pose_graph.clusters import clusters
-from slam.pose_graph.consensus import Consensus, consensus, drift, foretold_despite
 from slam.pose_graph.graph import PoseGraph
 from slam.pose_graph.live import squared_error_limit
 from slam.pose_graph.motion_system import MotionSystem
+from slam.pose_graph.second_opinion.bridges import bridge_doubts, rivals, with_rival
+from slam.pose_graph.second_opinion.clusters import clusters
+from slam.pose_graph.second_opinion.consensus import Consensus, consensus
+from slam.pose_graph.second_opinion.drift import but_for_drift
 from slam.types import FloatArray
 
 # A loop is contested where one estimator believes it and to the other its error is more than this
@@ -55,10 +56,10 @@ def second_opinion(
     """
     limit = squared_error_limit(inlier_probability, graph.is_planar)
     wide = squared_error_limit(max(_FORETOLD, inlier_probability), graph.is_planar)
-    found, of_drift = _but_for_drift(
-        system, limit, wide, kept, _best_consensus(system, limit, wide, kept, squared)
-    )
+    found = _best_consensus(system, limit, wide, kept, squared)
+    found, doubt = but_for_drift(system, limit, wide, kept, found)
     is_contested = contested(kept, squared / limit, found.squared / limit)
+    of_drift = (f"{doubt}; {_ADVICE}",) if doubt else ()
     others = (*of_drift, *_doubt_of_chance(found), *_doubt_of_haste(found))
     # Where it did not come to an end, it knows too little to overrule GNC.
     if not is_contested.any() or not found.is_complete:
@@ -88,38 +89,6 @@ def _best_consensus(
         given.append(with_rival(system, given[0], rival))
     found = [consensus(system, limit, wide, each) for each in given]
     return min(found, key=lambda each: (not each.is_complete, each.cost))
-
-
-def _but_for_drift(
-    system: MotionSystem,
-    limit: float,
-    wide: float,
-    kept: NDArray[np.bool_],
-    found: Consensus,
-) -> tuple[Consensus, tuple[str, ...]]:
-    """Where nothing is foretold, return what is if links claim too much, and what to doubt of it.
-
-    A loop that is foretold tells that links can be relied on: what contradicts them is false then.
-    """
-    if found.kept.any() or not kept.any() or not found.is_complete:
-        return found, ()
-    times = drift(system, kept)
-    if times <= 1.0:
-        return found, ()
-    despite = foretold_despite(times, system, limit, wide, kept)
-    if despite is None:
-        count = np.count_nonzero(kept)
-        loops = "one loop" if count == 1 else f"{count} loops that agree"
-        return found, (
-            f"for {loops} to be true the odometry would have to drift {times:.1f} times as far as "
-            f"its links claim; {_ADVICE}",
-        )
-    # What it costs is reckoned as for all others.
-    cost = system.links_cost(despite.T_world_kf) + float(np.minimum(despite.squared, wide).sum())
-    return replace(despite, cost=cost), (
-        f"the odometry drifts {times:.1f} times as far as its links claim, if the loops are true, "
-        f"which agree on it all over the map; {_ADVICE}",
-    )
 
 
 def contested(kept: NDArray[np.bool_], first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
