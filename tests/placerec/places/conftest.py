@@ -28,9 +28,14 @@ def unit():
 
 
 @pytest.fixture
-def opened(tmp_path):
-    """Open the store of the test, of a recognizer of this fingerprint."""
+def needs_lancedb():
+    """Skip where it is not installed: not everybody has it."""
     pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")
+
+
+@pytest.fixture
+def opened(tmp_path, needs_lancedb):
+    """Open the store of the test, of a recognizer of this fingerprint."""
     from placerec import PlaceStore
 
     return lambda fingerprint="version 1": PlaceStore(tmp_path / "store", Named(fingerprint))

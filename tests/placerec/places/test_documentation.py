@@ -11,8 +11,7 @@ ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "place_store.md").read_text()
 
 
-def test_its_code_finds_the_place(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")
+def test_its_code_finds_the_place(tmp_path, monkeypatch, capsys, needs_lancedb):
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     images = np.random.default_rng(0).integers(0, 256, (3, 60, 80, 3), np.uint8)

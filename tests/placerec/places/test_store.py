@@ -135,8 +135,7 @@ def test_who_compares_by_itself_is_refused(tmp_path):
         PlaceStore(tmp_path, load("seqslam"))
 
 
-def test_an_address_that_cannot_be_used_is_one_line(tmp_path):
-    pytest.importorskip("lancedb", reason="needs LanceDB")
+def test_an_address_that_cannot_be_used_is_one_line(tmp_path, needs_lancedb):
     (tmp_path / "file").write_text("")
     known, line = load("gradients"), "cannot use the store: it is damaged, or its address"
     for address in (tmp_path / "file", tmp_path / "file" / "below"):
