@@ -3,12 +3,14 @@
 
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from cv2.typing import MatLike
+from kornia_rs.io import decode_image_png_u16
 from numpy.typing import NDArray
 
 from placerec.datasets.image_size import check_size, image_size
@@ -19,6 +21,7 @@ _IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".tif", ".
 _NUMBERS = re.compile(r"([^0-9]*)(?:([0-9]+)(?:\.([0-9]+))?|$)")
 _TAIL_BYTES = 64
 _ENDINGS = ((b"\x89PNG\r\n\x1a\n", b"IEND"), (b"\xff\xd8\xff", b"\xff\xd9"))
+_ONE_CHANNEL_OF_16_BITS = re.compile(rb"\x89PNG\r\n\x1a\n.{4}IHDR.{8}\x10\0", re.DOTALL)
 
 
 class BrokenImage(NamedTuple):
@@ -102,11 +105,19 @@ def decode_content(content: bytes, path: Path, flags: int) -> MatLike | BrokenIm
         check_size(*image_size(content))
     except ValueError as error:
         return BrokenImage(path, str(error))
-    try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    except cv2.error:
-        image = None
+    image = _decoded(content, flags)
     return BrokenImage(path, "not a readable image") if image is None else image
+
+
+def _decoded(content: bytes, flags: int) -> MatLike | None:
+    if flags == cv2.IMREAD_UNCHANGED and _ONE_CHANNEL_OF_16_BITS.match(content):
+        width, height = image_size(content)
+        with suppress(Exception):  # is all that it raises; then OpenCV, which takes twice as long
+            return np.asarray(decode_image_png_u16(content, (height, width), "mono"))[..., 0]
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error:
+        return None
 
 
 def _is_cut_off(content: bytes) -> bool:

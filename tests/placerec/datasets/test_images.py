@@ -3,7 +3,14 @@ import cv2
 import numpy as np
 import pytest
 
-from placerec.datasets.images import BrokenImage, find_fault, images_in, natural_order, read_image
+from placerec.datasets.images import (
+    BrokenImage,
+    decode,
+    find_fault,
+    images_in,
+    natural_order,
+    read_image,
+)
 
 
 def test_image_is_rgb(tmp_path):
@@ -28,6 +35,28 @@ def test_cut_off_file_is_broken(tmp_path, write_image, suffix, look):
     path = write_image(tmp_path / f"half{suffix}")
     path.write_bytes(path.read_bytes()[:-30])
     assert look(path) == BrokenImage(path, "the file is cut off")
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("compression", [0, 1, 9])
+def test_images_of_16_bits_are_what_was_written(tmp_path, compression, channels):
+    path, rng = tmp_path / "depth.png", np.random.default_rng(compression)
+    rows = np.cumsum(rng.integers(0, 9, (37, 53, channels)), axis=1) * 300  # more than 8 bits
+    image = np.squeeze(rows.astype(np.uint16))
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, compression])
+    decoded = decode(path, cv2.IMREAD_UNCHANGED)
+    assert decoded.dtype == np.uint16
+    assert np.array_equal(decoded, image)
+
+
+@pytest.mark.parametrize("place", [-20, -60, 60])
+def test_depth_with_a_wrong_bit_is_broken(tmp_path, place):
+    path = tmp_path / "depth.png"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 9999, (30, 40)).astype(np.uint16))
+    content = bytearray(path.read_bytes())
+    content[place] ^= 4
+    path.write_bytes(content)
+    assert decode(path, cv2.IMREAD_UNCHANGED) == BrokenImage(path, "not a readable image")
 
 
 @pytest.mark.parametrize(
