@@ -110,13 +110,14 @@ class FeatureExtractor:
 
     def extract(self, grey: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Features:
         """Return the features of a (H, W) image with depth in metres; a blank one may have none."""
-        keypoints = self._orb.detect(grey, None)
-        strength = np.array([k.response for k in keypoints], np.float32)
-        chosen = _spread(_pixels(keypoints), strength, self._config.count)
-        keypoints, descriptors = self._orb.compute(grey, [keypoints[i] for i in chosen])
+        keypoints, descriptors = self._orb.detectAndCompute(grey, None)
+        pixels, octaves = _pixels(keypoints), np.array([k.octave for k in keypoints], np.uint8)
         if descriptors is None:
-            keypoints, descriptors = [], np.zeros((0, 32))
-        pixels = _pixels(keypoints)
+            descriptors = np.zeros((0, 32), np.uint8)
+        strength = np.array([k.response for k in keypoints], np.float32)
+        chosen = _spread(pixels, strength, self._config.count)
+        chosen = chosen[np.argsort(octaves[chosen], kind="stable")]
+        pixels = pixels[chosen]
         undistorted_px = undistort(pixels, self._camera)
         u, v = np.rint(pixels).astype(np.int64).T
         depth_m = depth_m[v, u]
@@ -124,8 +125,8 @@ class FeatureExtractor:
         return Features(
             pixels=pixels,
             undistorted_px=undistorted_px,
-            octaves=np.array([k.octave for k in keypoints], np.uint8),
-            descriptors=np.asarray(descriptors, np.uint8),
+            octaves=octaves[chosen],
+            descriptors=np.asarray(descriptors[chosen], np.uint8),
             depth_m=depth_m,
             points_m=back_project(undistorted_px, depth_m, self._camera),
         )
