@@ -59,7 +59,7 @@ class Measurements:
 
 
 def write_measurements(path: Path, measured: Measurements) -> None:
-    """Write the arrays, compressed; the same measurements always give the same bytes.
+    """Write the arrays; the same measurements always give the same bytes.
 
     Raises:
         LoopcloseError: the file cannot be written.
@@ -80,7 +80,8 @@ def write_measurements(path: Path, measured: Measurements) -> None:
         arrays["loops_jsonl"] = np.frombuffer(lines.encode(), np.uint8)
     arrays["about_json"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     content = io.BytesIO()
-    np.savez_compressed(content, allow_pickle=False, **arrays)
+    write = np.savez if remembered else np.savez_compressed  # features hardly get any smaller
+    write(content, allow_pickle=False, **arrays)
     write_atomically(path, content.getvalue())
 
 
