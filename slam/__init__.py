@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
     from slam.loops.correction import Correction as Correction
+    from slam.loops.loop_closure import verify_loop as verify_loop
     from slam.loops.saved_map import SavedMap as SavedMap
+    from slam.loops.submaps import Loop as Loop
+    from slam.loops.submaps import align_maps as align_maps
     from slam.output.ledger import LoopRecord as LoopRecord
     from slam.output.ledger import read_ledger as read_ledger
     from slam.output.live.view import LiveView as LiveView
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
     from slam.system import Slam as Slam
     from slam.tracking.tracked_frame import TrackedFrame as TrackedFrame
     from slam.types import Camera as Camera
+    from slam.types import Features as Features
     from slam.types import Frame as Frame
     from slam.types import Keyframe as Keyframe
     from slam.types import LoopAttempt as LoopAttempt
@@ -43,9 +47,11 @@ _HOME = {
     "Camera": "slam.types",
     "Config": "slam.config",
     "Correction": "slam.loops.correction",
+    "Features": "slam.types",
     "Frame": "slam.types",
     "Keyframe": "slam.types",
     "LiveView": "slam.output.live.view",
+    "Loop": "slam.loops.submaps",
     "LoopAttempt": "slam.types",
     "LoopRecord": "slam.output.ledger",
     "LoopcloseError": "placerec.errors",
@@ -56,6 +62,7 @@ _HOME = {
     "SlamResult": "slam.result",
     "TrackedFrame": "slam.tracking.tracked_frame",
     "Trajectory": "slam.types",
+    "align_maps": "slam.loops.submaps",
     "compare_drift": "slam.evaluation.drift",
     "load_map": "slam.output.map_folder.folder",
     "merge_maps": "slam.output.map_folder.merging",
@@ -65,6 +72,7 @@ _HOME = {
     "save_map": "slam.output.map_folder.folder",
     "saved_map": "slam.output.map_folder.folder",
     "solve_g2o": "slam.pose_graph.from_g2o",
+    "verify_loop": "slam.loops.loop_closure",
     "write_run": "slam.output.run_folder",
 }
 

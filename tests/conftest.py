@@ -81,3 +81,9 @@ def certificate():
         seed=0,
         curve=((0.9, 0.0, 0.1), (0.8, 0.001, 0.5), (0.2, 0.5, 1.0)),
     )
+
+
+@pytest.fixture(scope="session")
+def needs_lancedb():
+    """Skip where it is not installed: not everybody has it."""
+    pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")

@@ -164,3 +164,11 @@ def rotation_between(a: FloatArray, b: FloatArray, weights: FloatArray | None = 
     U, _, Vt = np.linalg.svd(weighted.T @ a)
     # The last sign keeps it a rotation where a reflection would fit better.
     return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
+
+
+def mean_motion(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
+    """Return the (4, 4) motion that best takes (N, 4, 4) poses to others: turning, then ways."""
+    axes = (T[:, :3, :3].swapaxes(1, 2).reshape(-1, 3) for T in (T_from, T_to))
+    R = rotation_between(*axes)
+    t = (T_to[:, :3, 3] - T_from[:, :3, 3] @ R.T).mean(axis=0)
+    return from_rotation_translation(R, t)

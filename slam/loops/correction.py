@@ -46,7 +46,7 @@ class Correction:
             T_start_kf, T_world_kf = self._placed(T_given_kf), before._placed(T_given_kf)
             common = sorted(T_start_kf.keys() & T_world_kf.keys())
             if common:
-                T_world_start = _mean_motion(
+                T_world_start = se3.mean_motion(
                     np.array([T_start_kf[k] for k in common]),
                     np.array([T_world_kf[k] for k in common]),
                 )
@@ -66,11 +66,3 @@ class Correction:
             return dict(self.T_world_kf)
         # Before a leap or a new beginning of that odometry it is corrected by something else.
         return {**{k: self.T_world_given @ T for k, T in T_given_kf.items()}, **self.T_world_kf}
-
-
-def _mean_motion(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
-    """Return the (4, 4) motion that best takes (N, 4, 4) poses to others: turning, then ways."""
-    axes = (T[:, :3, :3].swapaxes(1, 2).reshape(-1, 3) for T in (T_from, T_to))
-    R = se3.rotation_between(*axes)
-    t = (T_to[:, :3, 3] - T_from[:, :3, 3] @ R.T).mean(axis=0)
-    return se3.from_rotation_translation(R, t)

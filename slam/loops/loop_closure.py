@@ -21,6 +21,7 @@ from slam.loops.novelty import Novelty
 from slam.loops.remembered import Remembered
 from slam.loops.saved_map import SavedMap
 from slam.loops.second_look import SecondLook
+from slam.loops.submaps import Loop
 from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
@@ -251,7 +252,9 @@ class LoopCloser:
         self, query: Keyframe, match: Keyframe, similarity: float, proposed_by: Proposal
     ) -> LoopAttempt:
         """Return what geometry makes of two keyframes that need not be alike."""
-        verification, outcome, checks = self._verified(query, match)
+        verification, outcome, checks = _verified(
+            match, query, self._camera, self._verification_config
+        )
         return LoopAttempt(
             query.id,
             match.id,
@@ -312,21 +315,35 @@ class LoopCloser:
             query.id, match.id, similarity, None, rejection, min_similarity=needed, checks=checks
         )
 
-    def _verified(
-        self, query: Keyframe, match: Keyframe
-    ) -> tuple[Verification, RelativePose | Rejection, tuple[Check, ...]]:
-        config = self._verification_config
-        ours, theirs = (each.camera or self._camera for each in (query, match))
-        verification = estimate_relative_pose(match.features, query.features, ours, config, theirs)
-        outcome, checks = verification.outcome, verification.checks
-        if isinstance(outcome, RelativePose):
-            depth_m = typical_depth_m(match.features, query.features)
-            turning = (match.turning_rad_s, query.turning_rad_s)
-            # Of two cameras the worse one tells what their models leave out.
-            noisy = [loop_noise(outcome, each, depth_m, *turning) for each in (ours, theirs)]
-            outcome = max(noisy, key=translation_sigma_m)
-            share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
-            certain = Check(RejectionReason.UNCERTAIN_MOTION, share, most, bool(share <= most))
-            checks += (certain,)
-            outcome = certain.rejection or outcome
-        return verification, outcome, checks
+
+def verify_loop(
+    match: Keyframe, query: Keyframe, camera: Camera, config: VerificationConfig | None = None
+) -> Loop | Rejection:
+    """Return the loop that two keyframes of any two maps make by geometry, or why they make none.
+
+    It is verified as every loop of a run. The camera took those keyframes that do not name theirs.
+    """
+    seen, outcome, _ = _verified(match, query, camera, config or VerificationConfig())
+    if isinstance(outcome, Rejection):
+        return outcome
+    points_ref_m = seen.points_ref_m[seen.inlier_mask].astype(np.float64)
+    return Loop.of(match.id, query.id, outcome, points_ref_m)
+
+
+def _verified(
+    match: Keyframe, query: Keyframe, camera: Camera, config: VerificationConfig
+) -> tuple[Verification, RelativePose | Rejection, tuple[Check, ...]]:
+    ours, theirs = (each.camera or camera for each in (query, match))
+    verification = estimate_relative_pose(match.features, query.features, ours, config, theirs)
+    outcome, checks = verification.outcome, verification.checks
+    if isinstance(outcome, RelativePose):
+        depth_m = typical_depth_m(match.features, query.features)
+        turning = (match.turning_rad_s, query.turning_rad_s)
+        # Of two cameras the worse one tells what their models leave out.
+        noisy = [loop_noise(outcome, each, depth_m, *turning) for each in (ours, theirs)]
+        outcome = max(noisy, key=translation_sigma_m)
+        share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
+        certain = Check(RejectionReason.UNCERTAIN_MOTION, share, most, bool(share <= most))
+        checks += (certain,)
+        outcome = certain.rejection or outcome
+    return verification, outcome, checks

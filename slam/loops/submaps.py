@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.geometry import se3
-from slam.types import FloatArray, Link, RelativePose
+from slam.types import FloatArray, Link, Rejection, RejectionReason, RelativePose
 
 NEEDED_PLACES = 2
 """Places at which loops have to agree how two submaps lie before the two become one.
@@ -104,6 +105,29 @@ def joined(submaps: Sequence[Submap], loops: Iterable[Loop]) -> list[Submap]:
     return submaps
 
 
+def align_maps(
+    T_a_kf: Mapping[int, FloatArray], T_b_kf: Mapping[int, FloatArray], loops: Iterable[Loop]
+) -> FloatArray | Rejection:
+    """Return the (4, 4) T_a_b between two maps where loops at two places agree how they lie.
+
+    It is the mean by all that agree with the loop that most agree with. The number in the rejection
+    is at how many places loops agree.
+
+    Args:
+        T_a_kf: (4, 4) by keyframe id, where map a has its keyframes.
+        T_b_kf: the same of map b, which numbers its own.
+        loops: have their reference in map a and their query in map b; those of keyframes without a
+            place are left out.
+    """
+    placed = [each for each in loops if each.ref_id in T_a_kf and each.query_id in T_b_kf]
+    if not placed:
+        return Rejection(RejectionReason.UNJOINED, 0, NEEDED_PLACES)
+    vote = _vote(Submap(dict(T_a_kf), []), Submap(dict(T_b_kf), []), placed)
+    if not vote.agrees.any():
+        return Rejection(RejectionReason.UNJOINED, 1, NEEDED_PLACES)
+    return se3.mean_motion(vote.T_b_query[vote.agrees], vote.T_a_query[vote.agrees])
+
+
 def joined_by_steps(submaps: Sequence[Submap], steps: Iterable[Link]) -> list[Submap]:
     """Join submaps that an odometry from elsewhere went between, while the images showed nothing.
 
@@ -144,36 +168,59 @@ def _between(submaps: Sequence[Submap], loops: Iterable[Loop]) -> dict[tuple[int
     return between
 
 
-def _join(earlier: Submap, later: Submap, loops: Sequence[Loop]) -> tuple[int, Link]:
-    """Return how many loops agree with the one that most agree with, and the join by that one.
+@dataclass(frozen=True, eq=False)
+class _Vote:
+    """Which of N loops between two maps agree with the one that most agree with.
 
-    None are counted for a loop that no other at another place agrees with. The loops have their
-    reference in the earlier submap; the join leads to the later one's first.
+    Attributes:
+        best: its number.
+        agrees: (N,) bool, none where no loop has another at another place that agrees with it.
+        T_a_query, T_b_query: (N, 4, 4), where the loops put the query in one map, and where the
+            other has it.
     """
-    T_later_query = later.places(loop.query_id for loop in loops)
+
+    best: int
+    agrees: NDArray[np.bool_]
+    T_a_query: FloatArray
+    T_b_query: FloatArray
+
+
+def _vote(a: Submap, b: Submap, loops: Sequence[Loop]) -> _Vote:
+    """Let loops vote how two maps lie; they have their reference in a and their query in b."""
+    T_b_query = b.places(loop.query_id for loop in loops)
     T_ref_query = np.array([loop.motion.T_ref_query for loop in loops])
-    T_earlier_ref = earlier.places(loop.ref_id for loop in loops)
-    T_earlier_query = T_earlier_ref @ T_ref_query
-    T_earlier_later = T_earlier_query @ se3.inverse(T_later_query)
-    # Loops that agree put in the later submap what each shows where they put it in the earlier one:
-    # what is apart on one side is apart on the other.
+    T_a_ref = a.places(loop.ref_id for loop in loops)
+    T_a_query = T_a_ref @ T_ref_query
+    T_a_b = T_a_query @ se3.inverse(T_b_query)
+    # Loops that agree put in map b what each shows where they put it in map a: what is apart on one
+    # side is apart on the other.
     centre_ref_m = np.array([loop.centre_ref_m for loop in loops])
-    centre_m = np.einsum("nij,nj->ni", T_earlier_ref[:, :3, :3], centre_ref_m)
-    centre_m += T_earlier_ref[:, :3, 3]
+    centre_m = np.einsum("nij,nj->ni", T_a_ref[:, :3, :3], centre_ref_m)
+    centre_m += T_a_ref[:, :3, 3]
     radius_m = np.array([loop.radius_m for loop in loops])
     ids = np.array([(loop.ref_id, loop.query_id) for loop in loops])
-    tried = range(0, len(loops), -(-len(loops) // _HYPOTHESES))
-    votes = []
-    for i in tried:  # where loop i puts the query of every loop, as seen from where that puts it
-        error = se3.inverse(T_earlier_query) @ T_earlier_later[i] @ T_later_query
+    best, most = 0, np.zeros(len(loops), bool)
+    for i in range(0, len(loops), -(-len(loops) // _HYPOTHESES)):
+        # where loop i puts the query of every loop, as seen from where that puts it
+        error = se3.inverse(T_a_query) @ T_a_b[i] @ T_b_query
         agrees = (se3.translation_norm(error) < _AGREE_M) & (se3.rotation_angle(error) < _AGREE_RAD)
         is_apart = np.linalg.norm(centre_m - centre_m[i], axis=1) > radius_m + radius_m[i]
         is_elsewhere = is_apart & (ids != ids[i]).all(axis=1)
-        votes.append(int(np.count_nonzero(agrees)) * int((agrees & is_elsewhere).any()))
-    best = tried[int(np.argmax(votes))]
-    T_query_first = se3.inverse(T_later_query[best]) @ later.T_submap_kf[later.first]
-    motion = RelativePose(T_ref_query[best] @ T_query_first, _NEXT_TO_NOTHING)
-    return max(votes), Link(loops[best].ref_id, later.first, motion)
+        if (agrees & is_elsewhere).any() and np.count_nonzero(agrees) > np.count_nonzero(most):
+            best, most = i, agrees
+    return _Vote(best, most, T_a_query, T_b_query)
+
+
+def _join(earlier: Submap, later: Submap, loops: Sequence[Loop]) -> tuple[int, Link]:
+    """Return how many loops agree on where the later submap lies, and the join by one of them.
+
+    The loops have their reference in the earlier submap; the join leads to the later one's first.
+    """
+    vote = _vote(earlier, later, loops)
+    best = loops[vote.best]
+    T_query_first = se3.inverse(vote.T_b_query[vote.best]) @ later.T_submap_kf[later.first]
+    motion = RelativePose(best.motion.T_ref_query @ T_query_first, _NEXT_TO_NOTHING)
+    return int(np.count_nonzero(vote.agrees)), Link(best.ref_id, later.first, motion)
 
 
 def _union(earlier: Submap, later: Submap, join: Link) -> Submap:

@@ -28,12 +28,6 @@ def unit():
 
 
 @pytest.fixture
-def needs_lancedb():
-    """Skip where it is not installed: not everybody has it."""
-    pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")
-
-
-@pytest.fixture
 def opened(tmp_path, needs_lancedb):
     """Open the store of the test, of a recognizer of this fingerprint."""
     from placerec import PlaceStore

@@ -120,3 +120,15 @@ def test_the_best_rotation_weighs_vectors_and_is_no_reflection():
     flat = a * [1.0, 1.0, 1e-3]
     mirrored = flat * [1.0, 1.0, -1.0]
     assert np.linalg.det(se3.rotation_between(flat, mirrored, np.ones(20))) == pytest.approx(1.0)
+
+
+def test_the_mean_motion_takes_poses_to_others_and_evens_out_what_is_off():
+    rng = np.random.default_rng(0)
+    T_b_kf = se3.exp(rng.normal(size=(6, 6)))
+    T_a_b = se3.exp(rng.normal(size=6))
+    np.testing.assert_allclose(se3.mean_motion(T_b_kf, T_a_b @ T_b_kf), T_a_b, atol=1e-9)
+    moved = T_a_b @ T_b_kf
+    moved[0, :3, 3] += 0.6
+    off = se3.mean_motion(T_b_kf, moved)
+    np.testing.assert_allclose(off[:3, :3], T_a_b[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(off[:3, 3], T_a_b[:3, 3] + 0.1, atol=1e-9)

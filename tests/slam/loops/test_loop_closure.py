@@ -10,8 +10,8 @@ from slam.config import LoopConfig, VerificationConfig
 from slam.geometry import se3
 from slam.geometry.motion_noise import loop_noise, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
-from slam.loops.loop_closure import LoopCloser
-from slam.types import Frame, Keyframe, Rejection, RejectionReason, RelativePose
+from slam.loops.loop_closure import LoopCloser, verify_loop
+from slam.types import Frame, Keyframe, Proposal, Rejection, RejectionReason, RelativePose
 
 T_REF_QUERY = se3.exp(np.array([0.05, -0.08, 0.03, 0.12, -0.05, 0.08]))
 IMAGE = np.zeros((4, 4, 3), np.uint8)
@@ -501,3 +501,26 @@ def test_where_the_recognizer_compares_every_place_stays_a_candidate(views, monk
         new = keyframe(number, views.reference, 10.0 * number)
         attempts = loop_closer.close(new, np.zeros((1, 1), np.float32))
     assert pairs(attempts) == [(3, 0), (3, 1), (3, 2)]
+
+
+def test_two_keyframes_of_any_maps_are_verified_as_those_of_a_run(views):
+    match, query = keyframe(7, views.reference), keyframe(2, views.query, turning_rad_s=0.5)
+    loop = verify_loop(match, query, views.camera)
+    of_a_run = closer(camera=views.camera).verify(query, match, 0.9, Proposal.SIMILARITY)
+    assert (loop.ref_id, loop.query_id) == (7, 2)
+    np.testing.assert_array_equal(loop.motion.T_ref_query, of_a_run.outcome.T_ref_query)
+    np.testing.assert_array_equal(loop.motion.information, of_a_run.outcome.information)
+    np.testing.assert_allclose(loop.motion.T_ref_query, T_REF_QUERY, atol=1e-3)
+    assert np.isfinite(loop.centre_ref_m).all()
+    assert loop.radius_m > 0.0
+
+
+def test_a_loop_that_is_not_verified_is_a_rejection(views, make_views):
+    other = make_views(T_REF_QUERY, seed=5)
+    refused = verify_loop(keyframe(0, views.reference), keyframe(0, other.query), views.camera)
+    assert isinstance(refused, Rejection)
+    strict = VerificationConfig(min_inliers=100_000)
+    refused = verify_loop(
+        keyframe(0, views.reference), keyframe(0, views.query), views.camera, strict
+    )
+    assert refused.reason is RejectionReason.FEW_INLIERS

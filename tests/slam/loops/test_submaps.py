@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.geometry import se3
-from slam.loops.submaps import Loop, Submap, joined
-from slam.types import RelativePose
+from slam.loops.submaps import Loop, Submap, align_maps, joined
+from slam.types import Rejection, RejectionReason, RelativePose
 
 INFORMATION = np.diag([1e5] * 3 + [1e4] * 3)
 T_EARLIER_LATER = se3.exp(np.array([0.2, 1.0, -0.3, 4.0, 1.0, -2.0]))
@@ -105,3 +107,60 @@ def test_a_loop_the_other_way_round_is_the_same_loop():
     np.testing.assert_allclose(turned.motion.T_ref_query, again.motion.T_ref_query, atol=1e-9)
     np.testing.assert_allclose(turned.centre_ref_m, again.centre_ref_m, atol=1e-9)
     assert turned.radius_m == pytest.approx(again.radius_m) == pytest.approx(loop.radius_m)
+
+
+def two_maps(points_m, later=(-0.5, 0.5), seed=0):
+    """Return where two maps, each numbered from 0, have their keyframes, and loops between them."""
+    T_a_kf, T_a_later = ROW, cameras(later)
+    of_both = loops_between(T_a_kf, T_a_later, points_m, np.random.default_rng(seed))
+    loops = [replace(each, query_id=each.query_id - len(ROW)) for each in of_both]
+    T_b_a = se3.inverse(T_EARLIER_LATER)
+    T_b_kf = {k: T_b_a @ T for k, T in enumerate(T_a_later)}
+    return dict(enumerate(T_a_kf)), T_b_kf, loops
+
+
+TWO_PICTURES = np.concatenate([wall((-1, 0)), wall((1, 0))])
+
+
+def moved(loop, tangent):
+    motion = replace(loop.motion, T_ref_query=loop.motion.T_ref_query @ se3.exp(np.array(tangent)))
+    return replace(loop, motion=motion)
+
+
+def test_two_maps_lie_where_loops_at_two_places_say():
+    T_a_kf, T_b_kf, loops = two_maps(TWO_PICTURES)
+    np.testing.assert_allclose(align_maps(T_a_kf, T_b_kf, loops), T_EARLIER_LATER, atol=1e-9)
+
+
+def test_the_mean_counts_and_a_false_loop_has_no_say():
+    T_a_kf, T_b_kf, loops = two_maps(TWO_PICTURES)
+    ways = np.random.default_rng(1).normal(size=(len(loops), 6)) * 0.005
+    noisy = [moved(loop, way) for loop, way in zip(loops, ways - ways.mean(axis=0), strict=True)]
+    false = moved(loops[0], [0.0, 0.3, 0.0, 1.0, 0.0, 0.0])
+    T_a_b = align_maps(T_a_kf, T_b_kf, [false, *noisy])
+    # Each single one is off by some millimetres.
+    np.testing.assert_allclose(T_a_b[:3, 3], T_EARLIER_LATER[:3, 3], atol=0.02)
+    np.testing.assert_allclose(T_a_b, align_maps(T_a_kf, T_b_kf, noisy), atol=1e-12)
+
+
+def test_one_place_however_often_seen_is_not_enough_to_align_maps():
+    T_a_kf, T_b_kf, loops = two_maps(wall((0, 0)), later=(-0.3, 0.0, 0.3))
+    assert len(loops) > 2
+    refused = align_maps(T_a_kf, T_b_kf, loops)
+    assert refused == Rejection(RejectionReason.UNJOINED, 1, 2)
+    assert align_maps(T_a_kf, T_b_kf, []) == Rejection(RejectionReason.UNJOINED, 0, 2)
+
+
+def test_two_loops_that_contradict_each_other_align_nothing():
+    T_a_kf, T_b_kf, loops = two_maps(TWO_PICTURES)
+    apart = [next(each for each in loops if each.query_id == k) for k in (0, 1)]
+    apart[1] = next(each for each in loops if each.query_id == 1 and each.ref_id == 3)
+    assert not isinstance(align_maps(T_a_kf, T_b_kf, apart), Rejection)
+    contradicting = [apart[0], moved(apart[1], [0.0, 0.0, 0.0, 0.15, 0.0, 0.0])]
+    assert isinstance(align_maps(T_a_kf, T_b_kf, contradicting), Rejection)
+
+
+def test_loops_of_keyframes_without_a_place_are_left_out():
+    T_a_kf, T_b_kf, loops = two_maps(TWO_PICTURES)
+    assert isinstance(align_maps({0: T_a_kf[0]}, T_b_kf, loops), Rejection)
+    assert isinstance(align_maps(T_a_kf, {}, loops), Rejection)
