@@ -192,13 +192,13 @@ def test_where_saving_fails_the_map_before_stays(folder, monkeypatch):
     assert content(folder) == before
 
 
-# The other map is saved over the first, and killed at the n-th step that the disk would see.
+# The other map is saved over the first, and killed at the n-th step that the disk would see, for
+# each n that is asked for: by a copy of a process that has loaded everything, which takes longest.
 KILLED = """
 import os, sys
 from pathlib import Path
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.output.map_folder.folder import load_map, save_map
-left = int(sys.argv[3])
 def counted(of, name):
     step = getattr(of, name)
     def stepped(*given, **named):
@@ -210,7 +210,16 @@ def counted(of, name):
     setattr(of, name, stepped)
 other = load_map(Path(sys.argv[2]), GradientRecognizer())
 counted(os, "fsync"); counted(Path, "replace"); counted(os, "rmdir"); counted(Path, "unlink")
-save_map(Path(sys.argv[1]), other)
+for asked in sys.stdin:
+    left = int(asked)
+    child = os.fork()
+    if child == 0:
+        try:
+            save_map(Path(sys.argv[1]), other)
+            os._exit(0)
+        finally:
+            os._exit(1)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
@@ -221,10 +230,17 @@ def test_whoever_is_killed_leaves_the_old_map_or_the_new(folder, finished, tmp_p
     other = tmp_path / "other"
     save_map(other, saved_map(slam, result.__class__(**{**vars(result), "T_world_kf": T_world_kf})))
     old, new = (len(load(each).keyframes) for each in (folder, other))
-    found = []
-    for step in (1, 20, 37, 38, 39, 40, 41, 42, 43, 99):
-        ended = subprocess.run([sys.executable, "-c", KILLED, folder, other, str(step)])
-        found.append(len(load(folder).keyframes))
-        assert ended.returncode in (0, -signal.SIGKILL)
+    found, codes = [], []
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, folder, other],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as killed:
+        for step in (1, 20, 37, 38, 39, 40, 41, 42, 43, 99):
+            print(step, file=killed.stdin, flush=True)
+            codes.append(int(killed.stdout.readline()))
+            found.append(len(load(folder).keyframes))
+    assert set(codes) == {0, -signal.SIGKILL}
     assert set(found) == {old, new} and found == sorted(found, reverse=True)
-    assert ended.returncode == 0 and content(folder) == content(other)
+    assert codes[-1] == 0 and content(folder) == content(other)
