@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+import fcntl
+import gc
 import os
 import signal
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,6 +15,12 @@ from slam.types import Camera
 
 FRAMES = 60
 FRAMES_PER_S = 7.5
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector look at what tests make, and no more at all of the tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -30,17 +41,40 @@ def signals_end_processes():
 
 
 @pytest.fixture(scope="session")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built_rooms() -> Iterator[Callable[[int], Any]]:
+    """Build each room once, which takes longer than to render a few images of it."""
+    from slam.demo import recording  # which loads Open3D
+
+    build_once = cache(recording.build_room)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "build_room", build_once)
+        yield build_once
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
     """Return a TUM folder of 60 frames, 8 s: a third of the room there, and back again.
 
     There it shows every other rendered image, back the rest: no image is seen twice. It is rendered
-    anew unless LOOPCLOSE_RENDERED names a folder for it, in which it is then found the next time.
+    by the first process of tests that needs it, anew unless LOOPCLOSE_RENDERED names a folder for
+    it, in which it is then found the next time.
     """
-    folder = Path(os.environ.get("LOOPCLOSE_RENDERED", tmp_path_factory.mktemp("rendered")))
-    folder /= "recording"
-    if folder.exists():
-        return folder
-    from slam.demo import render_sequence  # which loads Open3D
+    place = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # one of several processes, whose folders lie together
+        place = place.parent
+    place = Path(os.environ.get("LOOPCLOSE_RENDERED", place))
+    place.mkdir(parents=True, exist_ok=True)
+    folder = place / "recording"
+    with (place / "recording.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            request.getfixturevalue("built_rooms")
+            _render_there_and_back(folder)
+    return folder
+
+
+def _render_there_and_back(folder: Path) -> None:
+    from slam.demo import render_sequence
 
     camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
     render_sequence(folder, seconds=FRAMES / 15.0, camera=camera)
@@ -50,7 +84,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         values = [lines[i].split(" ", 1)[1] for i in order]
         stamped = [f"{100 + i / FRAMES_PER_S:.6f} {value}\n" for i, value in enumerate(values)]
         (folder / name).write_text("".join(stamped))
-    return folder
 
 
 @pytest.fixture

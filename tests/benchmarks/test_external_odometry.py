@@ -12,6 +12,8 @@ from slam.external_odometry.conventions import Convention
 from slam.geometry import se3
 from slam.types import Camera
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "external_odometry.py"
 TINY = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
 

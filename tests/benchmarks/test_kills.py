@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
+import pytest
+
 from benchmarks.kills import flaws, kill, table
+
+pytestmark = pytest.mark.usefixtures("built_rooms")
 
 
 def test_runs_that_are_killed_leave_whole_files_of_one_run(tmp_path):

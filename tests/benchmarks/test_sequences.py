@@ -8,6 +8,8 @@ import pytest
 from slam.demo.recording import render_sequence
 from slam.types import Camera
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "sequences.py"
 
 

@@ -9,6 +9,8 @@ from slam.demo.recording import render_sequence
 from slam.geometry.features import FeatureExtractor
 from slam.types import Camera
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "stalls.py"
 
 

@@ -10,6 +10,8 @@ import pytest
 from slam import Config, open_sequence
 from slam.types import Camera
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "sweeps.py"
 TINY = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
 

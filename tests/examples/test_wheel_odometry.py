@@ -10,6 +10,8 @@ from slam import Camera, Config, SlamError, Trajectory, compare_drift, open_sequ
 from slam.datasets.pose_files import read_pose_file
 from slam.demo.recording import render_sequence
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 
 

@@ -3,7 +3,8 @@
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
 from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
+from slam.geometry.compiled import load_compiled
 from slam.geometry.features import back_project
 from slam.result import SlamResult
 from slam.system import Slam
@@ -24,6 +26,18 @@ from slam.types import Camera, Features, FloatArray, Frame
 SHARED_DATA = Path(__file__).parents[2] / "../shared/data"
 SMALL_CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 OTHER_CAMERA = Camera(350, 260, 328.125, 328.125, 174.5, 129.5)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def loops_loaded_once() -> Iterator[None]:
+    """Load what is compiled for the first `Slam` alone, as where a process has one.
+
+    Each looks through all memory of the process for what it can do without, which takes a while
+    where everything is loaded that tests need.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.system.load_compiled", cache(load_compiled))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -68,12 +82,17 @@ def assert_no_correction_hurts() -> Callable[[DriftReport], None]:
 
 
 @pytest.fixture(scope="session")
-def room_run(frames: list[Frame]) -> SlamResult:
-    """Return the result of the pipeline with its default settings on the whole recording."""
+def finished(frames: list[Frame]) -> tuple[Slam, SlamResult]:
+    """Return the pipeline, with its default settings, after the whole recording; and its result."""
     slam = Slam(SMALL_CAMERA, GradientRecognizer())
     for frame in frames:
         slam.process(frame)
-    return slam.finish()
+    return slam, slam.finish()
+
+
+@pytest.fixture(scope="session")
+def room_run(finished: tuple[Slam, SlamResult]) -> SlamResult:
+    return finished[1]
 
 
 @pytest.fixture

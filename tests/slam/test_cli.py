@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -26,6 +27,7 @@ from placerec import drawing, files
 from placerec.commands import console
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
+from placerec.recognizers import onnx_file
 from placerec.recognizers.learned import LearnedRecognizer, keep_calibration
 from slam.__main__ import main, parse
 from slam.config import Config, load_config, to_toml
@@ -87,9 +89,13 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
 
 
+_open_session = cache(onnx_file.open_session)  # for the default network is the same in every run
+
+
 @pytest.fixture
 def run_slam(tmp_path, monkeypatch, capsys):
     """Run the command in this process, in an empty folder, with outputs going to ./out."""
+    monkeypatch.setattr(onnx_file, "open_session", _open_session)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.delenv("LOOPCLOSE_DATA", raising=False)

@@ -14,6 +14,8 @@ from slam.demo.recording import render_sequence
 from slam.geometry.se3 import pose_distance
 from slam.types import Camera, Frame
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 FOCAL_PX = 320.0 * recorded.FOCAL_PX / recorded.WIDTH_PX
 CAMERA = Camera(320, 240, FOCAL_PX, FOCAL_PX, 159.5, 119.5)
 RED = np.zeros((30, 40, 3), np.uint8) + np.array([255, 0, 0], np.uint8)

@@ -17,7 +17,7 @@ import pytest
 from placerec.errors import LoopcloseError
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence, write_camera
-from slam.demo import build_room, drive, render
+from slam.demo import drive, render
 from slam.demo.room import Room
 from slam.geometry.se3 import to_quaternion
 from slam.types import Camera, FloatArray
@@ -92,8 +92,8 @@ class Walk:
 
 
 @pytest.fixture(scope="session")
-def room() -> Room:
-    return build_room(0)
+def room(built_rooms: Callable[[int], Room]) -> Room:
+    return built_rooms(0)
 
 
 @pytest.fixture(scope="session")

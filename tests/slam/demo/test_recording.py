@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-from functools import cache
-
 import cv2
 import numpy as np
 import pytest
 
 from slam.config import FeaturesConfig, InputConfig, VerificationConfig
 from slam.datasets import open_sequence
-from slam.demo import recording
 from slam.demo.recording import FRAMES_PER_S, LAP_S, drive, render_sequence
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor, grey_of
 from slam.geometry.relative_pose import estimate_relative_pose
 from slam.types import Camera, RelativePose, SlamError
+
+pytestmark = pytest.mark.usefixtures("built_rooms")
 
 SMALL = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
 FRAMES_PER_LAP = round(LAP_S * FRAMES_PER_S)
@@ -29,15 +28,6 @@ def contents(folder):
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def built_rooms():
-    """Build each room once, which takes longer than to render its few images."""
-    build_once = cache(recording.build_room)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "build_room", build_once)
-        yield build_once
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,8 @@ from slam.demo import render_sequence
 from slam.demo.separate_process import render_apart
 from slam.types import SlamError
 
+pytestmark = pytest.mark.usefixtures("built_rooms")
+
 
 def contents(folder):
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from placerec.recognizers.gradients import GradientRecognizer
-from slam.demo import build_room, render
+from slam.demo import render
 from slam.demo.kinect_noise import add_colour_noise, add_kinect_noise
 from slam.geometry import se3
 from slam.system import Slam
@@ -37,8 +37,8 @@ def times_s():
 
 
 @pytest.fixture(scope="module")
-def frames():
-    room, taken = build_room(0), []
+def frames(built_rooms):
+    room, taken = built_rooms(0), []
     for i, time_s in enumerate(times_s()):
         during_s = time_s + np.linspace(-0.5, 0.5, 7) * EXPOSURE_S
         ends = [pose(during_s[0]), pose(during_s[-1])]

@@ -3,18 +3,7 @@
 
 import pytest
 
-from placerec.recognizers.gradients import GradientRecognizer
 from slam.output.map_folder.folder import save_map, saved_map
-from slam.system import Slam
-
-
-@pytest.fixture(scope="session")
-def finished(frames, sequence):
-    """Return a run of the whole recording, and its result."""
-    slam = Slam(sequence.camera, GradientRecognizer())
-    for frame in frames:
-        slam.process(frame)
-    return slam, slam.finish()
 
 
 @pytest.fixture

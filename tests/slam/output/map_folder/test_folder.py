@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -192,13 +193,14 @@ def test_where_saving_fails_the_map_before_stays(folder, monkeypatch):
     assert content(folder) == before
 
 
-# The other map is saved over the first, and killed at the n-th step that the disk would see.
+# The other map is saved into each folder that is named, and killed at the n-th step that the disk
+# would see: by a copy of a process that has loaded everything, which takes longest. Tells how many
+# steps there were, or which signal ended them.
 KILLED = """
 import os, sys
 from pathlib import Path
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.output.map_folder.folder import load_map, save_map
-left = int(sys.argv[3])
 def counted(of, name):
     step = getattr(of, name)
     def stepped(*given, **named):
@@ -208,9 +210,19 @@ def counted(of, name):
             os.kill(os.getpid(), 9)
         return step(*given, **named)
     setattr(of, name, stepped)
-other = load_map(Path(sys.argv[2]), GradientRecognizer())
+other = load_map(Path(sys.argv[1]), GradientRecognizer())
 counted(os, "fsync"); counted(Path, "replace"); counted(os, "rmdir"); counted(Path, "unlink")
-save_map(Path(sys.argv[1]), other)
+for asked in sys.stdin:
+    most, folder = asked.rstrip().split(" ", 1)
+    left = int(most)
+    child = os.fork()
+    if child == 0:
+        try:
+            save_map(Path(folder), other)
+            os._exit(int(most) - left)
+        finally:
+            os._exit(255)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
@@ -221,10 +233,23 @@ def test_whoever_is_killed_leaves_the_old_map_or_the_new(folder, finished, tmp_p
     other = tmp_path / "other"
     save_map(other, saved_map(slam, result.__class__(**{**vars(result), "T_world_kf": T_world_kf})))
     old, new = (len(load(each).keyframes) for each in (folder, other))
-    found = []
-    for step in (1, 20, 37, 38, 39, 40, 41, 42, 43, 99):
-        ended = subprocess.run([sys.executable, "-c", KILLED, folder, other, str(step)])
-        found.append(len(load(folder).keyframes))
-        assert ended.returncode in (0, -signal.SIGKILL)
+    shutil.copytree(folder, tmp_path / "copy")
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, other],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as saving:
+
+        def save(most, onto):
+            print(most, onto, file=saving.stdin, flush=True)
+            return int(saving.stdout.readline())
+
+        steps = save(200, tmp_path / "copy")
+        found, codes = [], []
+        for most in (1, steps // 2, *range(steps - 9, steps), 200):
+            codes.append(save(most, folder))
+            found.append(len(load(folder).keyframes))
+    assert 20 < steps < 200 and codes[0] == -signal.SIGKILL
     assert set(found) == {old, new} and found == sorted(found, reverse=True)
-    assert ended.returncode == 0 and content(folder) == content(other)
+    assert 0 < codes[-1] < 200 and content(folder) == content(other)
