@@ -17,6 +17,16 @@ import tyro
 
 from placerec.commands import usage
 from placerec.commands.console import note, progress_bar, say
+from placerec.commands.fleet import (
+    CORES,
+    LOCAL,
+    MEMORY_MB,
+    Finished,
+    Fleet,
+    Interrupted,
+    from_anywhere,
+    run_all,
+)
 from placerec.errors import cause_of
 from placerec.files import is_file, read_text, write_atomically
 from placerec.recognizer import load
@@ -61,11 +71,11 @@ class Arguments:
     """As run_slam takes them, or LIST.txt of them. A line of it may be `NAME = RECORDING`."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for the folders of all runs."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Ray cluster to run on; default: the cores of this machine."""
-    cores: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 1
+    address: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL
+    """Ray cluster to run on; local: the cores of this machine."""
+    cores: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = CORES
     """Of each run."""
-    memory_mb: Annotated[int, tyro.conf.arg(metavar="MB")] = 1024
+    memory_mb: Annotated[int, tyro.conf.arg(metavar="MB")] = MEMORY_MB
     """Of each run; see docs/costs.md."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
     """As for run_slam."""
@@ -96,15 +106,14 @@ def main(typed: list[str]) -> int:
         LoopcloseError: something is wrong with what was typed, or some of the runs failed.
     """
     told = parse(typed)
-    if told.cores < 1 or told.memory_mb < 1:
-        raise SlamError("--cores and --memory-mb have to be above 0")
+    fleet = Fleet(told.address, told.cores, told.memory_mb)
     recordings = named_recordings(told.recordings)
     # Loaded from here on, so that --help and typing errors answer at once.
     from slam.output.claimed_folder import ClaimedFolder
 
     try:
         with ClaimedFolder(told.out):
-            failed = _all(told, recordings)
+            failed = _all(told, fleet, recordings)
     except KeyboardInterrupt:
         raise SlamError(
             f"interrupted; the same command goes on from what is in {told.out}"
@@ -127,7 +136,7 @@ def parse(typed: list[str]) -> Arguments:
     return usage.parsed(Arguments, PROG, _DESCRIPTION, typed, default, SECTIONS)
 
 
-def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
+def _all(told: Arguments, fleet: Fleet, recordings: Sequence[NamedRecording]) -> list[str]:
     """Do the runs that are not done, tell of all, and return the names of those that failed."""
     from slam.output.comparison.batch import PAGE, as_files, summary_of_done, table
     from slam.output.comparison.tables import as_text
@@ -140,7 +149,7 @@ def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
     todo = [name for name in jobs if summary_of_done(out / name) is None]
     if len(todo) < len(jobs):
         note(f"{len(jobs) - len(todo)} of {len(jobs)} recordings are done already")
-    whys = _run(told, {name: jobs[name] for name in todo}) if todo else {}
+    whys = _run({name: jobs[name] for name in todo}, fleet) if todo else {}
     outcomes = [_outcome(out / name, whys.get(name, "")) for name in jobs]
     for name, content in as_files(outcomes).items():
         write_atomically(out / name, content)
@@ -157,11 +166,8 @@ def _outcome(folder: Path, why: str) -> "Outcome":
 
 
 def _job(told: Arguments, named: NamedRecording, out: Path) -> Job:
-    recognizer = told.recognizer
-    if is_file(Path(recognizer)):
-        recognizer = str(Path(recognizer).resolve())
     folder = str(out / named.name)
-    asked = (named.recording, "--recognizer", recognizer)
+    asked = (named.recording, "--recognizer", from_anywhere(told.recognizer))
     return Job(folder, (*asked, "--out", folder, "--config", str(out / SETTINGS)))
 
 
@@ -206,14 +212,10 @@ def _write_settings(out: Path, settings: Config, names: Container[str]) -> None:
     write_atomically(file, f"{first_line}\n{to_toml(settings)}")
 
 
-def _run(told: Arguments, jobs: dict[str, Job]) -> dict[str, str]:
+def _run(jobs: dict[str, Job], fleet: Fleet) -> dict[str, str]:
     """Do runs, and return why those that failed did, by name."""
-    from placerec.commands.fleet import Finished, Fleet, run_all
-
-    where = told.address or "the cores of this machine"
-    note(f"running on {len(jobs)} of the recordings, by {where}")
-    names, failed = list(jobs), {}
-    fleet, ends = Fleet(told.address, told.cores, told.memory_mb), count(1)
+    note(f"running on {len(jobs)} of the recordings, by {fleet.where}")
+    names, failed, ends = list(jobs), {}, count(1)
     with progress_bar("running", len(jobs), "recording") as progress:
 
         def tell(ended: Finished[str]) -> None:
@@ -233,7 +235,6 @@ def run_alone(job: Job) -> str:
     Raises:
         Interrupted: the process was asked to end.
     """
-    from placerec.commands.fleet import Interrupted
     from slam.output.comparison.batch import summary_of_done
 
     folder = Path(job.folder)
