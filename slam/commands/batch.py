@@ -71,6 +71,8 @@ class Arguments:
     """As run_slam takes them, or LIST.txt of them. A line of it may be `NAME = RECORDING`."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for the folders of all runs."""
+    save: Annotated[Path | None, tyro.conf.arg(metavar="MAPS")] = None
+    """Folder for the folders of all maps, for run_slam merge."""
     address: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL
     """Ray cluster to run on; local: the cores of this machine."""
     cores: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = CORES
@@ -93,10 +95,22 @@ class Job:
     Attributes:
         folder: for its outputs.
         typed: what would be typed after `run_slam`.
+        saved: folder for its map; None where that is not to be kept.
     """
 
     folder: str
     typed: tuple[str, ...]
+    saved: str | None = None
+
+    @property
+    def summary(self) -> dict[str, object] | None:
+        """That of the run if it is done, and its map is there if it is to be kept; else None."""
+        from slam.output.comparison.batch import summary_of_done
+        from slam.output.map_folder.folder import MANIFEST
+
+        if self.saved is not None and not is_file(Path(self.saved) / MANIFEST):
+            return None
+        return summary_of_done(Path(self.folder))
 
 
 def main(typed: list[str]) -> int:
@@ -138,7 +152,7 @@ def parse(typed: list[str]) -> Arguments:
 
 def _all(told: Arguments, fleet: Fleet, recordings: Sequence[NamedRecording]) -> list[str]:
     """Do the runs that are not done, tell of all, and return the names of those that failed."""
-    from slam.output.comparison.batch import PAGE, as_files, summary_of_done, table
+    from slam.output.comparison.batch import PAGE, as_files, table
     from slam.output.comparison.tables import as_text
 
     load(told.recognizer)  # before anything is started with one that there is not
@@ -146,11 +160,11 @@ def _all(told: Arguments, fleet: Fleet, recordings: Sequence[NamedRecording]) ->
     jobs = {each.name: _job(told, each, out) for each in recordings}
     _refuse_what_was_run_otherwise(told, jobs)
     _write_settings(out, told.settings, jobs)
-    todo = [name for name in jobs if summary_of_done(out / name) is None]
+    todo = [name for name, job in jobs.items() if job.summary is None]
     if len(todo) < len(jobs):
         note(f"{len(jobs) - len(todo)} of {len(jobs)} recordings are done already")
     whys = _run({name: jobs[name] for name in todo}, fleet) if todo else {}
-    outcomes = [_outcome(out / name, whys.get(name, "")) for name in jobs]
+    outcomes = [_outcome(name, job, whys.get(name, "")) for name, job in jobs.items()]
     for name, content in as_files(outcomes).items():
         write_atomically(out / name, content)
     say(as_text(table(outcomes)))
@@ -158,17 +172,21 @@ def _all(told: Arguments, fleet: Fleet, recordings: Sequence[NamedRecording]) ->
     return [each.name for each in outcomes if each.why]
 
 
-def _outcome(folder: Path, why: str) -> "Outcome":
-    from slam.output.comparison.batch import Outcome, summary_of_done
+def _outcome(name: str, job: Job, why: str) -> "Outcome":
+    from slam.output.comparison.batch import Outcome
 
-    summary = None if why else summary_of_done(folder)
-    return Outcome(folder.name, summary or {}, why or ("" if summary else _NOT_HERE))
+    summary = None if why else job.summary
+    return Outcome(name, summary or {}, why or ("" if summary else _NOT_HERE))
 
 
 def _job(told: Arguments, named: NamedRecording, out: Path) -> Job:
     folder = str(out / named.name)
     asked = (named.recording, "--recognizer", from_anywhere(told.recognizer))
-    return Job(folder, (*asked, "--out", folder, "--config", str(out / SETTINGS)))
+    typed = (*asked, "--out", folder, "--config", str(out / SETTINGS))
+    if told.save is None:
+        return Job(folder, typed)
+    saved = str(told.save.resolve() / named.name)
+    return Job(folder, (*typed, "--save", saved), saved)
 
 
 def _refuse_what_was_run_otherwise(told: Arguments, jobs: dict[str, Job]) -> None:
@@ -235,11 +253,8 @@ def run_alone(job: Job) -> str:
     Raises:
         Interrupted: the process was asked to end.
     """
-    from slam.output.comparison.batch import summary_of_done
-
-    folder = Path(job.folder)
-    _wait_for(folder)
-    if summary_of_done(folder) is not None:  # whoever did it died before it could say so
+    _wait_for(Path(job.folder))
+    if job.summary is not None:  # whoever did it died before it could say so
         return ""
     main = import_module("slam.__main__").main  # above this file; in this process, it is what runs
     said = io.StringIO()

@@ -94,6 +94,16 @@ def test_all_are_run_as_if_alone_and_what_is_done_is_not_done_again(
     assert started == ["bad"]
 
 
+def test_maps_are_kept_where_asked_and_a_run_without_its_map_is_not_done(
+    short_recording, started, tmp_path
+):
+    good, out, maps = short_recording(8, "good"), tmp_path / "runs", tmp_path / "maps"
+    assert batch(out, good) == 0
+    for again in (["good"], ["good"], ["good"]):
+        assert batch(out, good, "--save", maps) == 0
+        assert started == ["good", *again] and (maps / "good" / "manifest.json").is_file()
+
+
 def test_what_died_and_what_is_nowhere_to_be_seen_failed(tmp_path, monkeypatch, capsys):
     def run_all(work, jobs, fleet, tell):
         assert (fleet.address, fleet.cores, fleet.memory_mb) == ("ray://head:10001", 2, 512)
