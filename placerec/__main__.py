@@ -47,12 +47,13 @@ def _parse(typed: list[str]) -> Callable[[], int]:
         from placerec.commands.adapt import adapt
         from placerec.commands.calibrate import calibrate
         from placerec.commands.check import check
+        from placerec.commands.embed import embed
         from placerec.commands.evaluate import evaluate
         from placerec.commands.export import export
         from placerec.commands.fit import fit
         from placerec.commands.train import train
 
-        commands = (check, evaluate, calibrate, fit, train, adapt, export)
+        commands = (check, embed, evaluate, calibrate, fit, train, adapt, export)
         told = (f"  {each.__name__:<10} {str(each.__doc__).splitlines()[0]}" for each in commands)
         app = tyro.extras.SubcommandApp()
         for command in commands:

@@ -22,6 +22,11 @@ from placerec.certificate import fingerprint, read_certificate
 from placerec.datasets import open_dataset
 from placerec.datasets.images import BrokenImage, find_fault, read_image
 from placerec.errors import LoopcloseError
+from placerec.evaluation.embedding_file import (
+    EmbeddingFile,
+    read_embedding_file,
+    write_embedding_file,
+)
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.pretrained import read_weights
 from placerec.networks.weights_file import load_weights, save_weights
@@ -259,6 +264,13 @@ def _measurements() -> Files:
         return {MEASUREMENTS: path.read_bytes()}
 
 
+def _embeddings() -> Files:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.npz"
+        write_embedding_file(EmbeddingFile("a", "b", ("c",), 0, np.ones((1, 4), np.float32)), path)
+        return {path.name: path.read_bytes()}
+
+
 def _map() -> Files:
     with TemporaryDirectory() as folder:
         made = replace(made_up(2, seed=0), fingerprint=fingerprint(GradientRecognizer()))
@@ -456,6 +468,13 @@ _TEXTS = [
         MEASUREMENTS,
         _measurements,
         lambda folder: read_measurements(folder / MEASUREMENTS, Config()),
+        False,
+    ),
+    Reader(
+        "embeddings",
+        "a.npz",
+        _embeddings,
+        lambda folder: read_embedding_file(folder / "a.npz"),
         False,
     ),
     Reader("map", "manifest.json", _map, lambda folder: load_map(folder, GradientRecognizer())),

@@ -11,13 +11,10 @@ import tyro
 from numpy.typing import NDArray
 
 from placerec.commands.console import progress_bar, say
-from placerec.commands.data import Data, open_data, with_skipped_named
+from placerec.commands.data import Data, open_images
 from placerec.datasets import PlaceDataset
-from placerec.datasets.images import images_in
-from placerec.datasets.names import find_data
-from placerec.datasets.place_dataset import keep_readable
 from placerec.errors import RecognizerError, cause_of
-from placerec.files import Progress, is_folder
+from placerec.files import Progress
 from placerec.recognizer import WEIGHTS_SUFFIX, find, imported
 from placerec.recognizers.fitted_file import Fitted, write_fitted
 
@@ -55,7 +52,7 @@ def fit(
     learn = cast(Fit | None, getattr(made, "fit", None))
     if learn is None:
         raise RecognizerError(f"recognizer {recognizer!r} has nothing to learn from images alone")
-    datasets = [_open_images(source) for source in data]
+    datasets = [open_images(source, "train") for source in data]
     count = sum(map(len, datasets))
     with progress_bar(f"fitting {recognizer}", count) as progress:
         try:
@@ -85,18 +82,6 @@ def _refuse(recognizer: str, data: Sequence[str], out: Path, seed: int) -> None:
     ):
         if is_wrong:
             raise RecognizerError(f"fit needs {what}; see --help: {out}")
-
-
-def _open_images(source: str) -> PlaceDataset:
-    """Open a dataset to learn from without its truth, or just a folder of images."""
-    folder = find_data(source) or Path(source)
-    paths = tuple(images_in(folder)) if is_folder(folder) else ()
-    if not paths:
-        return open_data(source, "train")
-    # No query and no reference: nothing is compared.
-    nobody, nothing = np.empty(0, np.int64), np.empty((0, 0), np.bool_)
-    dataset = PlaceDataset(folder.resolve().name, paths, nobody, nobody, nothing, nothing)
-    return with_skipped_named(keep_readable(dataset))
 
 
 class _Images(Sequence[NDArray[np.uint8]]):

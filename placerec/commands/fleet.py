@@ -17,18 +17,25 @@ from typing import Any, Generic, TypeVar
 from urllib.parse import urlsplit
 
 from placerec.errors import RecognizerError, cause_of, terminations_interrupt
+from placerec.files import is_file
+
+LOCAL = "local"
+"""Ray's own word for the address of a cluster of this machine alone, which is started for it."""
+CORES, MEMORY_MB = 1, 1024
+"""Of a task, unless told."""
 
 _RETRIES = 3  # of a task whose process or node died
 _PATIENCE_S = 10.0  # with an address that does not answer
 _OBJECTS_BYTES = 80 << 20  # for what tasks hand over, which is next to nothing
 _OURS = "LOOPCLOSE_"  # variables that say where data and weights are
+_CACHE = "XDG_CACHE_HOME"  # and this where embeddings are kept
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _ALWAYS = {
     "RAY_USAGE_STATS_ENABLED": "0",  # it reports to its makers unless told not to
     "RAY_task_oom_retries": str(_RETRIES),  # without memory it would try again for ever
 }
 # By which it listens on 127.0.0.1 alone; else on every network that the machine is in.
-_LOCAL = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+_HERE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 _TEMPORARY = "/tmp"  # as Ray has it: names of sockets are short, and so has the folder's to be
 T = TypeVar("T")
 R = TypeVar("R")
@@ -43,14 +50,41 @@ class Fleet:
     """Where tasks are done, and what each of them takes.
 
     Attributes:
-        address: of a Ray cluster, such as ray://head:10001; None for this machine.
+        address: of a Ray cluster, such as ray://head:10001; `LOCAL` for this machine.
         cores: of a task, which starts no more threads to compute with.
         memory_mb: of a task, by which Ray tells how many go on a node.
+
+    Raises:
+        RecognizerError: a task would take nothing.
     """
 
-    address: str | None
+    address: str
     cores: int
     memory_mb: int
+
+    def __post_init__(self) -> None:
+        if self.cores < 1 or self.memory_mb < 1:
+            raise RecognizerError("--cores and --memory-mb have to be above 0")
+
+    @property
+    def where(self) -> str:
+        """What messages call it."""
+        return "the cores of this machine" if self.address == LOCAL else self.address
+
+
+def asked_for(address: str | None, cores: int, memory_mb: int) -> Fleet | None:
+    """Return the fleet of an address; None where there is none, and all is done in this process.
+
+    Raises:
+        RecognizerError: a task would take nothing.
+    """
+    fleet = Fleet(address or LOCAL, cores, memory_mb)
+    return fleet if address else None
+
+
+def from_anywhere(name: str) -> str:
+    """Return a name with which a file is found from any folder; of what is no file, the name."""
+    return str(Path(name).resolve()) if is_file(Path(name)) else name
 
 
 @dataclass(frozen=True)
@@ -87,7 +121,7 @@ def run_all(
         RecognizerError: Ray is not installed, the cluster cannot be reached, or no node of it has
             room for a task.
     """
-    if fleet.address:
+    if fleet.address != LOCAL:
         _refuse_unreachable(fleet.address)
     ray = _loaded(fleet.address)
     with _connected(ray, fleet):
@@ -119,8 +153,8 @@ def _refuse_unreachable(address: str) -> None:
         raise RecognizerError(f"cannot reach the cluster at {address}: {error}") from error
 
 
-def _loaded(address: str | None) -> Any:
-    os.environ.update(_ALWAYS if address else _ALWAYS | _LOCAL)  # read when it is loaded
+def _loaded(address: str) -> Any:
+    os.environ.update(_ALWAYS | _HERE if address == LOCAL else _ALWAYS)  # read when it is loaded
     try:
         import ray
     except ImportError as error:
@@ -132,9 +166,14 @@ def _loaded(address: str | None) -> Any:
 
 @contextmanager
 def _connected(ray: Any, fleet: Fleet) -> Iterator[None]:
-    variables = {name: value for name, value in os.environ.items() if name.startswith(_OURS)}
+    variables = {
+        name: value
+        for name, value in os.environ.items()
+        if name.startswith(_OURS) or name == _CACHE
+    }
     threads = dict.fromkeys(_THREADS, str(fleet.cores))
     asked = {
+        "address": fleet.address,
         "runtime_env": {"env_vars": variables | threads},
         "log_to_driver": False,
         "logging_level": logging.CRITICAL,
@@ -143,21 +182,18 @@ def _connected(ray: Any, fleet: Fleet) -> Iterator[None]:
         prefix="loopclose-ray-", dir=_TEMPORARY, ignore_cleanup_errors=True
     )
     with place as scratch:
-        if fleet.address is None:
+        if fleet.address == LOCAL:
             asked |= {
-                "address": "local",
                 "include_dashboard": False,
                 "object_store_memory": _OBJECTS_BYTES,
                 "_temp_dir": scratch,
             }
-        else:
-            asked["address"] = fleet.address
         # It prints what it has to say of nodes that died, whatever it is told.
         with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
             try:
                 ray.init(**asked)
             except Exception as error:  # of many kinds
-                where = f"the cluster at {fleet.address}" if fleet.address else "Ray here"
+                where = "Ray here" if fleet.address == LOCAL else f"the cluster at {fleet.address}"
                 raise RecognizerError(f"cannot reach {where}: {cause_of(error)}") from error
             try:
                 with terminations_interrupt():  # it has taken SIGTERM for itself

@@ -3,7 +3,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from placerec.errors import printable
 from placerec.evaluation.measurement import Failed, Measured, Measurement
@@ -62,22 +62,29 @@ _TABLE: dict[str, Callable[[Measured], str]] = {
     "compare µs": lambda row: f"{1e3 * row.cost.compare_ms:.3f}",
 }
 _NAMES = 2
-"""So many columns are names, written from the left; the others are numbers."""
+"""So many columns of it are names."""
 
 
 def evaluation_csv(rows: Sequence[Measurement]) -> str:
     """Return the figures in full, a line per evaluation; unknown ones are empty."""
+    return csv_text(tuple(_CSV), [_figures(row) for row in rows])
+
+
+def _figures(row: Measurement) -> dict[str, object]:
+    if isinstance(row, Measured):
+        return {name: figure(row) for name, figure in _CSV.items()}
+    names: dict[str, object] = {"data": row.dataset.name, "recognizer": row.recognizer}
+    names |= {"images": len(row.dataset), "pairs": int(row.dataset.pairs.sum())}
+    return names | {"failure": row.why}
+
+
+def csv_text(columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> str:
+    """Return a line for each row, below the columns' names; what a row does not tell is empty."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(_CSV), restval="", lineterminator="\n")
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        if isinstance(row, Measured):
-            writer.writerow({name: _cell(figure(row)) for name, figure in _CSV.items()})
-            continue
-        names: dict[str, object] = {"data": row.dataset.name, "recognizer": row.recognizer}
-        names |= {"images": len(row.dataset), "pairs": int(row.dataset.pairs.sum())}
-        names |= {"failure": row.why}
-        writer.writerow({name: _cell(value) for name, value in names.items()})
+        writer.writerow({name: _cell(value) for name, value in row.items()})
     return text.getvalue()
 
 
@@ -91,14 +98,23 @@ def _cell(value: object) -> object:
 
 def evaluation_table(rows: Sequence[Measurement]) -> str:
     """Return one line per evaluation; the two recalls and the area are of best matches."""
-    header = tuple(_TABLE)
-    cells = [header, *(_cells(row) for row in rows)]
+    return markdown_table(tuple(_TABLE), [_cells(row) for row in rows], _NAMES)
+
+
+def markdown_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], names: int) -> str:
+    """Return rows as a Markdown table that is legible as it stands.
+
+    Args:
+        header: of the columns.
+        rows: of one that failed, the names, and why it did.
+        names: so many columns are written from the left; the others are numbers.
+    """
     # Why something failed may run on beyond its column.
-    whole = [row if len(row) == len(header) else (*row[:_NAMES], *header[_NAMES:]) for row in cells]
-    widths = [max(map(len, column)) for column in zip(*whole, strict=True)]
-    rule = ["-" * width for width in widths[:_NAMES]]
-    rule += ["-" * (width - 1) + ":" for width in widths[_NAMES:]]
-    return "\n".join(_line(row, widths) for row in (header, rule, *cells[1:]))
+    whole = [row if len(row) == len(header) else (*row[:names], *header[names:]) for row in rows]
+    widths = [max(map(len, column)) for column in zip(header, *whole, strict=True)]
+    rule = ["-" * width for width in widths[:names]]
+    rule += ["-" * (width - 1) + ":" for width in widths[names:]]
+    return "\n".join(_line(row, widths, names) for row in (header, rule, *rows))
 
 
 def notes(rows: Sequence[Measurement]) -> list[str]:
@@ -123,9 +139,9 @@ def _cells(row: Measurement) -> tuple[str, ...]:
     return tuple(figure(row) for figure in _TABLE.values())
 
 
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+def _line(cells: Sequence[str], widths: Sequence[int], names: int) -> str:
     padded = [
-        cell.ljust(width) if i < _NAMES else cell.rjust(width)
+        cell.ljust(width) if i < names else cell.rjust(width)
         for i, (cell, width) in enumerate(zip(cells, widths, strict=False))
     ]
     return f"| {' | '.join(padded)} |"

@@ -17,6 +17,16 @@ import tyro
 
 from placerec.commands import usage
 from placerec.commands.console import note, progress_bar, say
+from placerec.commands.fleet import (
+    CORES,
+    LOCAL,
+    MEMORY_MB,
+    Finished,
+    Fleet,
+    Interrupted,
+    from_anywhere,
+    run_all,
+)
 from placerec.errors import cause_of
 from placerec.files import is_file, read_text, write_atomically
 from placerec.recognizer import load
@@ -61,11 +71,13 @@ class Arguments:
     """As run_slam takes them, or LIST.txt of them. A line of it may be `NAME = RECORDING`."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for the folders of all runs."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Ray cluster to run on; default: the cores of this machine."""
-    cores: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 1
+    save: Annotated[Path | None, tyro.conf.arg(metavar="MAPS")] = None
+    """Folder for the folders of all maps, for run_slam merge."""
+    address: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL
+    """Ray cluster to run on; local: the cores of this machine."""
+    cores: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = CORES
     """Of each run."""
-    memory_mb: Annotated[int, tyro.conf.arg(metavar="MB")] = 1024
+    memory_mb: Annotated[int, tyro.conf.arg(metavar="MB")] = MEMORY_MB
     """Of each run; see docs/costs.md."""
     recognizer: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_RECOGNIZER
     """As for run_slam."""
@@ -83,10 +95,22 @@ class Job:
     Attributes:
         folder: for its outputs.
         typed: what would be typed after `run_slam`.
+        saved: folder for its map; None where that is not to be kept.
     """
 
     folder: str
     typed: tuple[str, ...]
+    saved: str | None = None
+
+    @property
+    def summary(self) -> dict[str, object] | None:
+        """That of the run if it is done, and its map is there if it is to be kept; else None."""
+        from slam.output.comparison.batch import summary_of_done
+        from slam.output.map_folder.folder import MANIFEST
+
+        if self.saved is not None and not is_file(Path(self.saved) / MANIFEST):
+            return None
+        return summary_of_done(Path(self.folder))
 
 
 def main(typed: list[str]) -> int:
@@ -96,15 +120,14 @@ def main(typed: list[str]) -> int:
         LoopcloseError: something is wrong with what was typed, or some of the runs failed.
     """
     told = parse(typed)
-    if told.cores < 1 or told.memory_mb < 1:
-        raise SlamError("--cores and --memory-mb have to be above 0")
+    fleet = Fleet(told.address, told.cores, told.memory_mb)
     recordings = named_recordings(told.recordings)
     # Loaded from here on, so that --help and typing errors answer at once.
     from slam.output.claimed_folder import ClaimedFolder
 
     try:
         with ClaimedFolder(told.out):
-            failed = _all(told, recordings)
+            failed = _all(told, fleet, recordings)
     except KeyboardInterrupt:
         raise SlamError(
             f"interrupted; the same command goes on from what is in {told.out}"
@@ -127,9 +150,9 @@ def parse(typed: list[str]) -> Arguments:
     return usage.parsed(Arguments, PROG, _DESCRIPTION, typed, default, SECTIONS)
 
 
-def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
+def _all(told: Arguments, fleet: Fleet, recordings: Sequence[NamedRecording]) -> list[str]:
     """Do the runs that are not done, tell of all, and return the names of those that failed."""
-    from slam.output.comparison.batch import PAGE, as_files, summary_of_done, table
+    from slam.output.comparison.batch import PAGE, as_files, table
     from slam.output.comparison.tables import as_text
 
     load(told.recognizer)  # before anything is started with one that there is not
@@ -137,11 +160,11 @@ def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
     jobs = {each.name: _job(told, each, out) for each in recordings}
     _refuse_what_was_run_otherwise(told, jobs)
     _write_settings(out, told.settings, jobs)
-    todo = [name for name in jobs if summary_of_done(out / name) is None]
+    todo = [name for name, job in jobs.items() if job.summary is None]
     if len(todo) < len(jobs):
         note(f"{len(jobs) - len(todo)} of {len(jobs)} recordings are done already")
-    whys = _run(told, {name: jobs[name] for name in todo}) if todo else {}
-    outcomes = [_outcome(out / name, whys.get(name, "")) for name in jobs]
+    whys = _run({name: jobs[name] for name in todo}, fleet) if todo else {}
+    outcomes = [_outcome(name, job, whys.get(name, "")) for name, job in jobs.items()]
     for name, content in as_files(outcomes).items():
         write_atomically(out / name, content)
     say(as_text(table(outcomes)))
@@ -149,20 +172,21 @@ def _all(told: Arguments, recordings: Sequence[NamedRecording]) -> list[str]:
     return [each.name for each in outcomes if each.why]
 
 
-def _outcome(folder: Path, why: str) -> "Outcome":
-    from slam.output.comparison.batch import Outcome, summary_of_done
+def _outcome(name: str, job: Job, why: str) -> "Outcome":
+    from slam.output.comparison.batch import Outcome
 
-    summary = None if why else summary_of_done(folder)
-    return Outcome(folder.name, summary or {}, why or ("" if summary else _NOT_HERE))
+    summary = None if why else job.summary
+    return Outcome(name, summary or {}, why or ("" if summary else _NOT_HERE))
 
 
 def _job(told: Arguments, named: NamedRecording, out: Path) -> Job:
-    recognizer = told.recognizer
-    if is_file(Path(recognizer)):
-        recognizer = str(Path(recognizer).resolve())
     folder = str(out / named.name)
-    asked = (named.recording, "--recognizer", recognizer)
-    return Job(folder, (*asked, "--out", folder, "--config", str(out / SETTINGS)))
+    asked = (named.recording, "--recognizer", from_anywhere(told.recognizer))
+    typed = (*asked, "--out", folder, "--config", str(out / SETTINGS))
+    if told.save is None:
+        return Job(folder, typed)
+    saved = str(told.save.resolve() / named.name)
+    return Job(folder, (*typed, "--save", saved), saved)
 
 
 def _refuse_what_was_run_otherwise(told: Arguments, jobs: dict[str, Job]) -> None:
@@ -206,14 +230,10 @@ def _write_settings(out: Path, settings: Config, names: Container[str]) -> None:
     write_atomically(file, f"{first_line}\n{to_toml(settings)}")
 
 
-def _run(told: Arguments, jobs: dict[str, Job]) -> dict[str, str]:
+def _run(jobs: dict[str, Job], fleet: Fleet) -> dict[str, str]:
     """Do runs, and return why those that failed did, by name."""
-    from placerec.commands.fleet import Finished, Fleet, run_all
-
-    where = told.address or "the cores of this machine"
-    note(f"running on {len(jobs)} of the recordings, by {where}")
-    names, failed = list(jobs), {}
-    fleet, ends = Fleet(told.address, told.cores, told.memory_mb), count(1)
+    note(f"running on {len(jobs)} of the recordings, by {fleet.where}")
+    names, failed, ends = list(jobs), {}, count(1)
     with progress_bar("running", len(jobs), "recording") as progress:
 
         def tell(ended: Finished[str]) -> None:
@@ -233,12 +253,8 @@ def run_alone(job: Job) -> str:
     Raises:
         Interrupted: the process was asked to end.
     """
-    from placerec.commands.fleet import Interrupted
-    from slam.output.comparison.batch import summary_of_done
-
-    folder = Path(job.folder)
-    _wait_for(folder)
-    if summary_of_done(folder) is not None:  # whoever did it died before it could say so
+    _wait_for(Path(job.folder))
+    if job.summary is not None:  # whoever did it died before it could say so
         return ""
     main = import_module("slam.__main__").main  # above this file; in this process, it is what runs
     said = io.StringIO()

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
+import pickle
 import re
 import shutil
 import sys
@@ -11,6 +12,7 @@ import pytest
 from placerec.__main__ import main
 from placerec.certificate import read_certificate
 from placerec.commands import evaluate
+from placerec.commands.fleet import Finished
 from placerec.recognizer import load
 from placerec.training.config import TrainingConfig
 
@@ -50,7 +52,7 @@ def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "Expected one of {check, evaluate, calibrate, fit, train, adapt, export}"),
+        ([], "Expected one of {check, embed, evaluate, calibrate, fit, train, adapt, export}"),
         (["check"], "NAME|MODULE:CLASS|FILE"),
         (["bogus"], "bogus"),
         (["train", "x", "--out", "y", "--alpa", "3"], "perhaps you meant --alpha"),
@@ -192,6 +194,48 @@ def test_what_is_wrong_is_found_before_the_work(drives, tmp_path, monkeypatch, i
         assert message in error
 
 
+def test_a_fleet_measures_what_one_process_does(
+    drives, tmp_path, monkeypatch, later_run, installed, capsys
+):
+    def run_all(work, tasks, fleet, tell):
+        assert fleet.address == "local"
+        for number, task in reversed(list(enumerate(tasks))):
+            monkeypatch.chdir("/")  # as on another machine
+            tell(
+                pickle.loads(pickle.dumps(Finished(number, work(pickle.loads(pickle.dumps(task))))))
+            )
+        monkeypatch.chdir(tmp_path)
+
+    monkeypatch.setattr(evaluate, "run_all", run_all)
+    monkeypatch.setattr(evaluate, "available", lambda: installed)
+    shutil.copytree(drives, tmp_path / "more")
+    asked = ["evaluate", "drives", "more", "--out"]
+    assert main([*asked, "alone"]) == 1
+    alone = capsys.readouterr().out
+    later_run()
+    assert main([*asked, "many", "--address", "local"]) == 1
+    assert "drives: 9 images (1 skipped), 20 pairs" in capsys.readouterr().out and alone
+    times = ("embed_ms", "embed_timed_on", "compare_ms")
+    one, other = (
+        [{k: v for k, v in row.items() if k not in times} for row in figures(tmp_path / each)]
+        for each in ("alone", "many")
+    )
+    assert one == other and [row["data"] for row in one] == [*["drives"] * 3, *["more"] * 3]
+    assert figures(tmp_path / "many")[2]["embed_timed_on"]  # not embedded again
+
+
+def test_data_whose_process_died_failed_and_stop_no_other(drives, monkeypatch, tmp_path, capsys):
+    def run_all(work, tasks, fleet, tell):
+        tell(Finished(1, None, "the worker died"))
+        tell(Finished(0, work(tasks[0])))
+
+    monkeypatch.setattr(evaluate, "run_all", run_all)
+    shutil.copytree(drives, tmp_path / "more")
+    asked = ["evaluate", drives, "more", "--recognizers", GRADIENTS, "--address", "local"]
+    assert main([*asked, "--out", "out"]) == 1
+    assert [row["failure"] for row in figures(tmp_path / "out")] == ["", "the worker died"]
+
+
 def test_stopping_an_evaluation_is_one_line(drives, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -299,7 +343,7 @@ def printed_at_exit(arguments, capsys):
 
 
 @pytest.mark.parametrize(
-    "command", ["check", "evaluate", "calibrate", "fit", "train", "adapt", "export"]
+    "command", ["check", "embed", "evaluate", "calibrate", "fit", "train", "adapt", "export"]
 )
 def test_help_fits_on_a_screen_and_shows_an_example_or_what_is_needed(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
@@ -315,7 +359,16 @@ def test_help_lists_the_commands_each_in_a_line(capsys, monkeypatch):
     lines = printed_at_exit(["-h"], capsys).splitlines()
     assert len(lines) <= 24 and max(map(len, lines)) <= 80
     begins = [line.split()[0] for line in lines if line.startswith("  ")]
-    assert begins[:7] == ["check", "evaluate", "calibrate", "fit", "train", "adapt", "export"]
+    assert begins[:8] == [
+        "check",
+        "embed",
+        "evaluate",
+        "calibrate",
+        "fit",
+        "train",
+        "adapt",
+        "export",
+    ]
 
 
 def test_help_all_shows_every_setting(capsys):

@@ -40,7 +40,10 @@ VERSION = 2
 
 _OLDEST = 1  # of one camera
 _FORMAT = "loopclose map"
-_MANIFEST, _LEDGER = "manifest.json", "loops.jsonl"
+MANIFEST = "manifest.json"
+"""Makes a folder a map; written last."""
+
+_LEDGER = "loops.jsonl"
 _ARRAYS, _PART = "arrays-", ".part-"  # a finished folder of arrays, and one that is being written
 _ANOTHER = "choose another folder"
 _DAMAGED = "load another copy of it, or make the map again"
@@ -112,7 +115,7 @@ def save_map(folder: Path, saved: SavedMap) -> None:
         if not (folder / name).exists():
             part.replace(folder / name)
         sync(folder)
-        write_atomically(folder / _MANIFEST, _told(saved, name, files))
+        write_atomically(folder / MANIFEST, _told(saved, name, files))
         sync(folder)
         _tidy(folder, name)
     except OSError as error:
@@ -211,9 +214,9 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     Raises:
         SlamError: there is none, it is damaged, or of another version.
     """
-    path = folder / _MANIFEST
+    path = folder / MANIFEST
     if not is_file(path):
-        raise SlamError(f"there is no map in this folder, which would have a {_MANIFEST}: {folder}")
+        raise SlamError(f"there is no map in this folder, which would have a {MANIFEST}: {folder}")
     manifest = read_json(path, kind=SlamError)
     if not isinstance(manifest, dict) or manifest.get("format") != _FORMAT:
         raise SlamError(f"this is no manifest of a map: {path}")
@@ -254,7 +257,7 @@ def _refuse_foreign(folder: Path) -> None:
         names = [each.name for each in folder.iterdir()] if folder.exists() else []
     except OSError as error:
         raise SlamError(f"cannot save a map here: {error.strerror}: {folder}") from error
-    known = (_MANIFEST, f".{_MANIFEST}.")
+    known = (MANIFEST, f".{MANIFEST}.")
     foreign = [each for each in sorted(names) if not each.startswith((*known, _ARRAYS, _PART))]
     if foreign:
         raise SlamError(
@@ -268,5 +271,5 @@ def _tidy(folder: Path, name: str) -> None:
     for each in folder.iterdir():
         if each.name.startswith((_ARRAYS, _PART)) and each.name != name:
             shutil.rmtree(each, ignore_errors=True)
-        elif each.name.startswith(f".{_MANIFEST}."):
+        elif each.name.startswith(f".{MANIFEST}."):
             each.unlink(missing_ok=True)

@@ -3,7 +3,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, combinations
 
@@ -68,6 +68,7 @@ def merge_maps(
     recognizer: PlaceRecognizer,
     config: Config | None = None,
     progress: Progress | None = None,
+    pairs: Collection[tuple[str, str]] | None = None,
 ) -> MergedMaps:
     """Join maps, which are left as they are, by loops between them.
 
@@ -80,6 +81,7 @@ def merge_maps(
         recognizer: the one that embedded the places of all maps.
         config: of loops, verification and the graph; default: the default settings.
         progress: is told how many keyframes were compared.
+        pairs: names of two maps each, between which alone loops are looked for; default: all.
 
     Raises:
         SlamError: there is one map alone, one holds all keyframes of another, one is of another
@@ -90,7 +92,8 @@ def merge_maps(
     config = config or Config()
     names, starts = list(maps), _starts(maps.values())
     whole = _beside_each_other(list(maps.values()))
-    back_end = _with_loops_between(whole, recognizer, config, progress)
+    partners = None if pairs is None else _partners(names, pairs)
+    back_end = _with_loops_between(whole, recognizer, config, progress, partners)
     frames = dict(enumerate(whole.frames.tolist()))
     closed = back_end.solve({k.id: k.T_odom_cam for k in whole.keyframes}, frames)
     new = closed.attempts[len(whole.attempts) :]
@@ -106,7 +109,7 @@ def merge_maps(
         if len(joined) < 2:
             raise SlamError("no loops join any two of the maps: " + "; ".join(apart.values()))
         # Once more, as if the others had never been there.
-        merged = merge_maps(joined, recognizer, config, progress)
+        merged = merge_maps(joined, recognizer, config, progress, pairs)
         return replace(merged, apart={**apart, **merged.apart})
     merged_map, too_many = _adjusted(back_end, whole, closed)
     joins = _joins(names, new, map_of)
@@ -212,8 +215,23 @@ def _beside_each_other(maps: Sequence[SavedMap]) -> SavedMap:
     )
 
 
+def _partners(names: Sequence[str], pairs: Collection[tuple[str, str]]) -> dict[int, IntArray]:
+    """Return with which maps each may close loops, by their numbers."""
+    either_way = {*pairs, *((other, one) for one, other in pairs)}
+    return {
+        number: np.flatnonzero([(name, other) in either_way for other in names])
+        for number, name in enumerate(names)
+    }
+
+
 class _AcrossMaps(LoopCloser):
-    """Looks for loops between segments alone: within each they were looked for as it was made."""
+    """Looks for loops between segments alone: within each they were looked for as it was made.
+
+    Attributes:
+        partners: those that a segment may close loops with, None where these are all others.
+    """
+
+    partners: dict[int, IntArray] | None = None
 
     def load(self, saved: SavedMap) -> None:
         """Leave it: the keyframes come one after the other."""
@@ -221,15 +239,23 @@ class _AcrossMaps(LoopCloser):
     def _is_candidate(
         self, numbers: IntArray, number: int, segment: int, linked_ids: Sequence[int]
     ) -> NDArray[np.bool_]:
-        return np.asarray(np.array(self._segments, np.int64)[numbers] != segment)
+        segments = np.array(self._segments, np.int64)[numbers]
+        if self.partners is not None:
+            return np.isin(segments, self.partners[segment])
+        return np.asarray(segments != segment)
 
 
 def _with_loops_between(
-    whole: SavedMap, recognizer: PlaceRecognizer, config: Config, progress: Progress | None
+    whole: SavedMap,
+    recognizer: PlaceRecognizer,
+    config: Config,
+    progress: Progress | None,
+    partners: dict[int, IntArray] | None,
 ) -> BackEnd:
     """Return maps beside each other with the loops that were found between them."""
     back_end = BackEnd(whole.camera, recognizer, config, StageClock())
     closer = _AcrossMaps(whole.camera, recognizer, config.loop, config.verification)
+    closer.partners = partners
     back_end.loop_closer = closer
     back_end.load(whole, is_world=False)
     for keyframe, embedding in zip(whole.keyframes, whole.embeddings, strict=True):

@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from placerec.commands.fleet import Fleet, run_all
+from placerec.commands.fleet import LOCAL, Fleet, run_all
 from placerec.errors import RecognizerError
 
-HERE = Fleet(None, 1, 100)
+HERE = Fleet(LOCAL, 1, 100)
 
 
 def test_without_ray_one_line_says_what_to_install(monkeypatch):

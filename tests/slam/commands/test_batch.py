@@ -41,7 +41,7 @@ def started(monkeypatch):
             started.append(job.folder.rsplit("/")[-1])
             tell(Finished(number, work(job)))
 
-    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
+    monkeypatch.setattr("slam.commands.batch.run_all", run_all)
     return started
 
 
@@ -94,13 +94,23 @@ def test_all_are_run_as_if_alone_and_what_is_done_is_not_done_again(
     assert started == ["bad"]
 
 
+def test_maps_are_kept_where_asked_and_a_run_without_its_map_is_not_done(
+    short_recording, started, tmp_path
+):
+    good, out, maps = short_recording(8, "good"), tmp_path / "runs", tmp_path / "maps"
+    assert batch(out, good) == 0
+    for again in (["good"], ["good"], ["good"]):
+        assert batch(out, good, "--save", maps) == 0
+        assert started == ["good", *again] and (maps / "good" / "manifest.json").is_file()
+
+
 def test_what_died_and_what_is_nowhere_to_be_seen_failed(tmp_path, monkeypatch, capsys):
     def run_all(work, jobs, fleet, tell):
         assert (fleet.address, fleet.cores, fleet.memory_mb) == ("ray://head:10001", 2, 512)
         tell(Finished(1, None, "the worker died"))
         tell(Finished(0, ""))
 
-    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
+    monkeypatch.setattr("slam.commands.batch.run_all", run_all)
     asked = ("--address", "ray://head:10001", "--cores", "2", "--memory-mb", "512")
     assert batch(tmp_path / "runs", "a", "b", *asked) == 2
     told = " ".join(capsys.readouterr().out.split())
@@ -112,7 +122,7 @@ def test_a_batch_that_is_stopped_says_how_it_goes_on(tmp_path, monkeypatch, caps
     def run_all(work, jobs, fleet, tell):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
+    monkeypatch.setattr("slam.commands.batch.run_all", run_all)
     assert batch(tmp_path / "runs", "a") == 2
     assert "interrupted; the same command goes on" in capsys.readouterr().err
 

@@ -93,6 +93,35 @@ def test_maps_become_one_where_loops_join_them_and_others_are_left_apart(
     assert later.process(frames[10]).segment == 0
 
 
+def test_a_store_proposes_what_is_compared_and_the_map_is_the_same(place, tmp_path, capsys):
+    pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")
+    asked = [place / name for name in ("else", "there", "back")]
+    assert run(*asked, "--out", tmp_path / "all") == 0
+    told = capsys.readouterr()
+    assert run(*asked, "--out", tmp_path / "one", "--store", tmp_path / "store") == 0
+    assert content(tmp_path / "one") == content(tmp_path / "all")
+    by_store = capsys.readouterr()
+    assert "the store proposes " in by_store.out and " of 3 pairs of maps" in by_store.out
+    assert told.out.replace("all", "one").splitlines() == by_store.out.splitlines()[1:]
+    assert f"{place / 'else'} is left apart: " in by_store.err
+
+    strict = tmp_path / "strict.toml"
+    strict.write_text("[loop]\nmin_similarity = 0.999\n")
+    asked += ["--store", tmp_path / "store", "--config", strict, "--out", tmp_path / "none"]
+    assert run(*asked) == 2
+    assert "by the store no two of the maps share places" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def test_loops_are_looked_for_between_pairs_that_were_named_alone(maps):
+    with pytest.raises(SlamError, match="no loops join any two"):
+        merge_maps(maps, GradientRecognizer(), pairs=[("there", "else"), ("back", "else")])
+    merged = merge_maps(maps, GradientRecognizer(), pairs=[("there", "back")])
+    assert merged.apart == {
+        "else": "else is left apart: no keyframe of another map looks like one of it"
+    }
+
+
 def test_what_shares_nothing_is_not_merged(maps):
     del maps["back"]
     with pytest.raises(SlamError, match=r"no loops join .*: else is left apart: of \d+ candidates"):
