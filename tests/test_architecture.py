@@ -73,7 +73,7 @@ def test_every_library_that_is_imported_is_declared():
     lines = project["dependencies"] + [
         line for name, lines in extras.items() if name not in FOR_DEVELOPERS for line in lines
     ]
-    declared = {re.split(r"[\[<>=; ]", line)[0].lower() for line in lines}
+    declared = {normalized(re.split(r"[\[<>=; ]", line)[0]) for line in lines}
     owners = packages_distributions()
     modules = [path for path in MODULES if name(path) not in LOADED_BY_PYTEST]
     libraries = {library for path in modules for library in imports(path)} - set(PACKAGES)
@@ -81,9 +81,14 @@ def test_every_library_that_is_imported_is_declared():
         library
         # Of what is not installed nobody knows the owner; where all is, none is left out.
         for library in (libraries - sys.stdlib_module_names) & owners.keys()
-        if declared.isdisjoint(owner.lower() for owner in owners[library])
+        if declared.isdisjoint(map(normalized, owners[library]))
     }
     assert undeclared == set()
+
+
+def normalized(distribution: str) -> str:
+    """Return a name in the one way that stands for all ways to write it (PEP 503)."""
+    return re.sub(r"[-_.]+", "-", distribution).lower()
 
 
 def imports(path: Path) -> set[str]:
