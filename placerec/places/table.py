@@ -60,16 +60,19 @@ class PlaceTable:
             raise LoopcloseError(f"a store is in a folder or at {known}, not at: {address}")
         lancedb = _library()
         with self._as_one_line():
-            # What others have written is to be seen at once.
-            self._database = lancedb.connect(address, read_consistency_interval=timedelta(0))
+            self._database = lancedb.connect(address)
         self._table: Any = None
         self.is_there()
 
     def is_there(self) -> bool:
-        """Return whether the table is there by now, and open it."""
-        if self._table is not None:
-            return True
+        """Return whether the table is there by now, and take up what others have written.
+
+        Only here, once for each query: all versions of the last hour are listed for it.
+        """
         with self._as_one_line():
+            if self._table is not None:
+                self._table.checkout_latest()
+                return True
             try:
                 table = self._database.open_table(_NAME)
             except ValueError as error:
@@ -153,11 +156,13 @@ class PlaceTable:
             if condition is not None:
                 search = search.where(condition, prefilter=True)
             if is_exact:
-                search = search.bypass_vector_index()
+                found = search.bypass_vector_index().to_arrow()
             else:
-                search = search.minimum_nprobes(_PROBES).maximum_nprobes(0)
-                search = search.refine_factor(_REFINED)
-            found = search.to_arrow()
+                # Without a bound it looks into all cells, even where the first have enough.
+                search = search.nprobes(_PROBES).refine_factor(_REFINED)
+                found = search.to_arrow()
+                if len(found) < count:  # the condition holds for few of these cells' places
+                    found = search.maximum_nprobes(0).to_arrow()
             flat = np.asarray(found["embedding"].combine_chunks().flatten())
             embeddings = flat.reshape(-1, embedding.size)
             sessions, keyframes, times_s = (found[each].to_pylist() for each in _COLUMNS[:3])

@@ -99,6 +99,36 @@ def test_new_places_are_found_before_and_after_tidying_a_large_store(opened, uni
     assert found.session == "s0"
 
 
+def test_only_the_cells_that_are_most_alike_are_looked_into(opened, unit, monkeypatch):
+    monkeypatch.setattr(EXACT_UP_TO, 50)
+    monkeypatch.setattr("placerec.places.table._PROBES", 1)
+    monkeypatch.setattr("placerec.places.table._REFINED", 400)
+    store, rows, queries = opened(), unit(400), unit(20, seed=1)
+    store.add("a", range(400), np.arange(400.0), rows)
+
+    def first():
+        return [store.query(query, 1)[0].keyframe for query in queries]
+
+    exact = np.argmax(queries @ rows.T, axis=1).tolist()
+    assert first() == exact
+    store.tidy()
+    assert first() != exact
+
+
+def test_all_that_is_wanted_is_found_where_the_cells_most_alike_lack_it(opened, unit, monkeypatch):
+    monkeypatch.setattr(EXACT_UP_TO, 50)
+    monkeypatch.setattr("placerec.places.table._PROBES", 1)
+    store, noise = opened(), 0.1 * unit(200)
+    for session, at in (("near", 0), ("far", 1)):
+        rows = np.eye(16, dtype=np.float32)[at] + noise
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        store.add(session, range(200), np.arange(200.0), rows.astype(np.float32))
+    store.tidy()
+    query = np.eye(16, dtype=np.float32)[0]
+    assert {each.session for each in store.query(query, 5)} == {"near"}
+    assert [each.session for each in store.query(query, 5, sessions=["far"])] == 5 * ["far"]
+
+
 def test_an_empty_store_is_no_error_and_makes_nothing(opened, unit):
     store = opened()
     store.tidy()
