@@ -2,44 +2,50 @@
 """What a store of the places of many sessions takes as it grows, a column per size.
 
     python -m benchmarks.large_maps.place_store [--places 10000 100000] [--queries 500]
-        [--out runs/place_store] [--keep]
+        [--alike] [--out runs/place_store] [--keep]
 
-The embeddings are made up like real ones: of rooms, each with a path of 100 places that ten
-sessions walk along. What an embedding shares with others of its room, of its place, with its
-neighbours in the same session, and with none, was set so that cosines are spread as those of the
-default recognizer are on images of fr1_xyz and of rendered rooms and desks. Queries are an eleventh
-session of some rooms, and what they should find is computed from the embeddings themselves.
+The embeddings are made up like those of the default recognizer, or with `--alike` like those of one
+to which far more looks the same (`made_up_places.py`). Queries are another session of some rooms,
+and what they should find is computed from the embeddings themselves.
 
 Each size has a process of its own, that its memory can be told, and about 4.2 kB on the disk for
-each place, twice as much while `tidy` works. In the end eight processes add places at once, another
-asks meanwhile, and one that adds is killed; the exit code is 1 where a place is lost. Linux only.
+each place, twice as much while `tidy` works. With `--keep` the stores are left there, and those
+that an earlier run left are asked again instead of being made anew, by as many queries.
+
+In the end eight processes add places at once, another asks meanwhile, and one that adds is killed;
+the exit code is 1 where a place is lost. Linux only.
 """
 
 import argparse
-import functools
 import multiprocessing
 import shutil
 import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.large_maps.made_up_places import (
+    AS_LEARNED,
+    MORE_ALIKE,
+    PLACES,
+    SESSIONS,
+    WANTED,
+    Likeness,
+    Truth,
+    Vectors,
+    name_of,
+    queries,
+    rooms_of,
+    views,
+)
 from benchmarks.sequences import machine
 from placerec import PlaceStore
 from placerec.places.store import EXACT_UP_TO
 
-Vectors = NDArray[np.float32]
-
-SIZE = 1000
-PLACES, SESSIONS = 100, 10  # of a room's path; that walk along it
-OF_ROOM, OF_PLACE, OF_SESSION, OF_IMAGE = 0.15, 0.35, 0.3, 0.2  # shares of the square of a length
-ALIKE = 0.85  # of a place and the next one, and of two images of a session
 TIDIED = 250  # rooms, after which the store is put in order
-WANTED = 10
 WRITERS, BATCHES, BATCH = 8, 20, 50
 
 
@@ -54,94 +60,13 @@ class NoRecognizer:
         raise NotImplementedError
 
 
-@functools.cache
-def spread() -> Vectors:
-    """Return the (SIZE, SIZE) square root of the covariance of embeddings, turned at random.
-
-    Unlike pairs then have cosines around 0 with a deviation of 0.04.
-    """
-    turned, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((SIZE, SIZE)))
-    variances = (np.arange(SIZE) + 50.0) ** -0.9
-    return np.asarray(turned * np.sqrt(variances / variances.mean())[:, None], np.float32)
-
-
-def walk(rng: np.random.Generator) -> Vectors:
-    """Return (PLACES, SIZE) normal vectors, each like the one before."""
-    steps = rng.standard_normal((PLACES, SIZE), np.float32)
-    for k in range(1, PLACES):
-        steps[k] = ALIKE * steps[k - 1] + np.sqrt(1.0 - ALIKE**2) * steps[k]
-    return steps
-
-
-def views(room: int, sessions: range) -> Vectors:
-    """Return the (S, PLACES, SIZE) embeddings of sessions along a room's path."""
-    rng = np.random.default_rng([0, room])
-    shared = np.sqrt(OF_ROOM) * rng.standard_normal(SIZE, np.float32)
-    shared = shared + np.sqrt(OF_PLACE) * walk(rng)
-    made = []
-    for session in sessions:
-        own = np.random.default_rng([1, room, session])
-        light = np.sqrt(OF_SESSION * own.uniform(0.3, 1.7)) * walk(own)
-        noise = np.sqrt(OF_IMAGE * own.exponential(size=(PLACES, 1)))
-        seen = shared + light + noise * own.standard_normal((PLACES, SIZE), np.float32)
-        turned = seen.astype(np.float32) @ spread()
-        made.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
-    return np.stack(made)
-
-
-def queries(rooms: int, count: int) -> Vectors:
-    """Return (count, SIZE) embeddings of a session that is in no store."""
-    rng = np.random.default_rng(2)
-    chosen = rng.permutation(rooms)[: max(1, count // 10)]
-    seen = [views(int(room), range(SESSIONS, SESSIONS + 1))[0] for room in chosen]
-    each = -(-count // len(seen))
-    return np.concatenate([one[rng.permutation(PLACES)[:each]] for one in seen])[:count]
-
-
-def name_of(room: int, session: int) -> str:
-    """Return what a session is called."""
-    return f"room{room}/{session}"
-
-
-class Truth:
-    """The places most similar to each query, by comparing all."""
-
-    def __init__(self, asked: Vectors) -> None:
-        self._asked = asked
-        self._best = np.full((len(asked), WANTED), -2.0, np.float32)
-        self._ids = np.zeros((len(asked), WANTED), np.int64)
-
-    def add(self, room: int, seen: Vectors) -> None:
-        """Take notice of a room's (SESSIONS, PLACES, SIZE)."""
-        found = self._asked @ seen.reshape(-1, SIZE).T
-        numbers = np.broadcast_to(room * SESSIONS * PLACES + np.arange(found.shape[1]), found.shape)
-        best = np.concatenate([self._best, found], axis=1)
-        ids = np.concatenate([self._ids, numbers], axis=1)
-        order = np.argpartition(-best, WANTED, axis=1)[:, :WANTED]
-        self._best = np.take_along_axis(best, order, axis=1)
-        self._ids = np.take_along_axis(ids, order, axis=1)
-
-    def recall(self, number: int, found: set[tuple[str, int]]) -> float:
-        """Return the share of a query's most similar places that is among those found."""
-        room, rest = np.divmod(self._ids[number], SESSIONS * PLACES)
-        session, place = np.divmod(rest, PLACES)
-        names = [name_of(*each) for each in zip(room, session, strict=True)]
-        return len(found & set(zip(names, place.tolist(), strict=True))) / WANTED
-
-
-def rooms_of(count: int) -> Iterator[tuple[int, Vectors]]:
-    """Yield so many rooms with their views."""
-    for room in range(count):
-        yield room, views(room, range(SESSIONS))
-
-
 def asked_of(store: PlaceStore, asked: Vectors, truth: Truth) -> tuple[NDArray[np.float64], float]:
     """Return the seconds of each query, and the mean recall."""
     took_s, recalls = np.empty(len(asked)), np.empty(len(asked))
     for k, embedding in enumerate(asked):
         start_s = time.perf_counter()
-        # As a robot asks that is underway: its own last places, by whatever name, are left out.
-        found = store.query(embedding, WANTED, recent=("me", 0.0))
+        # As a robot asks that is underway; it has no place here that would be too recent.
+        found = store.query(embedding, WANTED, recent=(name_of(0, 0), float(PLACES)))
         took_s[k] = time.perf_counter() - start_s
         recalls[k] = truth.recall(k, {(each.session, each.keyframe) for each in found})
     return took_s, float(recalls.mean())
@@ -158,10 +83,10 @@ def size_b(folder: Path) -> int:
     return sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())
 
 
-def filled(store: PlaceStore, rooms: int, truth: Truth) -> float:
+def filled(store: PlaceStore, rooms: int, likeness: Likeness, truth: Truth) -> float:
     """Add the places of so many rooms, and return the seconds that the store took."""
     add_s = 0.0
-    for room, seen in rooms_of(rooms):
+    for room, seen in rooms_of(rooms, likeness):
         truth.add(room, seen)
         start_s = time.perf_counter()
         for session in range(SESSIONS):
@@ -173,43 +98,66 @@ def filled(store: PlaceStore, rooms: int, truth: Truth) -> float:
     return add_s
 
 
-def measure(places: int, count: int, folder: Path) -> dict[str, str]:
-    """Return a column of the table."""
-    rooms = places // (SESSIONS * PLACES)
-    asked = queries(rooms, count)
-    truth, store = Truth(asked), PlaceStore(folder, NoRecognizer())
-    add_s, before_mb = filled(store, rooms, truth), most_mb()
-    few = max(3, min(count, 1_000_000 // places))
+def making(
+    folder: Path, rooms: int, likeness: Likeness, asked: Vectors, truth: Truth
+) -> dict[str, str]:
+    """Make a store, and return what it took."""
+    store = PlaceStore(folder, NoRecognizer())
+    add_s, before_mb = filled(store, rooms, likeness, truth), most_mb()
+    few = max(3, min(len(asked), 1000 // rooms))
     whole_s, whole_recall = asked_of(store, asked[:few], truth)
     start_s, start_work_s = time.perf_counter(), time.process_time()
     store.tidy()
     tidy_s, tidy_work_s = time.perf_counter() - start_s, time.process_time() - start_work_s
-    tidy_mb = most_mb()
-    start_s = time.perf_counter()
-    store = PlaceStore(folder, NoRecognizer())
-    store.query(asked[0], WANTED)
-    first_s = time.perf_counter() - start_s
-    asked_of(store, asked[: count // 5], truth)
-    work_s = time.process_time()
-    query_s, recall = asked_of(store, asked, truth)
-    work_s = (time.process_time() - work_s) / count
-    indices = size_b(next(folder.glob("*.lance")) / "_indices") if places > EXACT_UP_TO else 0
     return {
-        "places": f"{rooms * SESSIONS * PLACES:,}",
         "adding 100, ms": f"{1e3 * add_s / (rooms * SESSIONS):.1f}",
         "before tidy: query, median, ms": f"{1e3 * np.median(whole_s):.0f}",
         "before tidy: recall@10": f"{whole_recall:.4f}",
         "tidy, s": f"{tidy_s:.0f}",
         "tidy, work, s": f"{tidy_work_s:.0f}",
+        "memory before tidy, MB": f"{before_mb:.0f}",
+        "memory with tidy, MB": f"{most_mb():.0f}",
+    }
+
+
+def asking(folder: Path, asked: Vectors, truth: Truth) -> dict[str, str]:
+    """Ask a store, and return what it took."""
+    start_s = time.perf_counter()
+    store = PlaceStore(folder, NoRecognizer())
+    store.query(asked[0], WANTED)
+    first_s = time.perf_counter() - start_s
+    asked_of(store, asked[: len(asked) // 5], truth)
+    work_s = time.process_time()
+    query_s, recall = asked_of(store, asked, truth)
+    work_s = (time.process_time() - work_s) / len(asked)
+    return {
         "opening and the first query, ms": f"{1e3 * first_s:.0f}",
         "query, median, ms": f"{1e3 * np.median(query_s):.1f}",
         "query, 99 of 100, ms": f"{1e3 * np.quantile(query_s, 0.99):.1f}",
         "query, work, mean, ms": f"{1e3 * work_s:.1f}",
         "recall@10": f"{recall:.4f}",
+        "memory with asking, MB": f"{most_mb():.0f}",
+    }
+
+
+def measure(places: int, count: int, likeness: Likeness, folder: Path) -> dict[str, str]:
+    """Return a column of the table; of a store that is not there yet with what making it took."""
+    rooms, kept = places // (SESSIONS * PLACES), folder.with_suffix(f".{count}.npy")
+    asked = queries(rooms, count, likeness)
+    truth, made = Truth(asked), {}
+    if kept.is_file() and folder.is_dir():
+        truth.read(kept)
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+        made = making(folder, rooms, likeness, asked, truth)
+        truth.write(kept)
+    indices = size_b(next(folder.glob("*.lance")) / "_indices") if places > EXACT_UP_TO else 0
+    return {
+        "places": f"{rooms * SESSIONS * PLACES:,}",
+        **asking(folder, asked, truth),
         "bytes for each place": f"{size_b(folder) / places:.0f}",
         "of these, for the search": f"{indices / places:.0f}",
-        "memory before tidy, MB": f"{before_mb:.0f}",
-        "most memory, MB": f"{tidy_mb:.0f}",
+        **made,
     }
 
 
@@ -266,23 +214,31 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--places", type=int, nargs="+", default=(10_000, 100_000), metavar="K")
     parser.add_argument("--queries", type=int, default=500, metavar="N", help="timed of each size")
+    parser.add_argument("--alike", action="store_true", help="embeddings that are more alike")
     parser.add_argument("--out", type=Path, default=Path("runs/place_store"), metavar="FOLDER")
-    parser.add_argument("--keep", action="store_true", help="leave the stores there")
+    parser.add_argument(
+        "--keep", action="store_true", help="leave the stores there, and ask those left before"
+    )
     parsed = parser.parse_args(arguments)
     if min(parsed.places) < SESSIONS * PLACES or parsed.queries < 10:
         parser.error(f"--places: at least {SESSIONS * PLACES}; --queries: at least 10")
     parsed.out.mkdir(parents=True, exist_ok=True)
+    likeness, name = (MORE_ALIKE, "alike") if parsed.alike else (AS_LEARNED, "store")
     facts, columns = machine(), []
     for places in parsed.places:
-        folder = parsed.out / f"store_{places}"
-        shutil.rmtree(folder, ignore_errors=True)
+        folder = parsed.out / f"{name}_{places}"
+        if not parsed.keep:
+            shutil.rmtree(folder, ignore_errors=True)
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
-            columns.append(process.submit(measure, places, parsed.queries, folder).result())
+            asked = process.submit(measure, places, parsed.queries, likeness, folder)
+            columns.append(asked.result())
         if not parsed.keep:
             shutil.rmtree(folder)
+            folder.with_suffix(f".{parsed.queries}.npy").unlink()
+    titles = list(dict.fromkeys(title for each in columns for title in each))
     lines = [
-        "| " + " | ".join([title, *(each[title] for each in columns)]) + " |"
-        for title in columns[0]
+        "| " + " | ".join([title, *(each.get(title, "") for each in columns)]) + " |"
+        for title in titles
     ]
     lines.insert(1, "|---" * (len(columns) + 1) + "|")
     shutil.rmtree(parsed.out / "writers", ignore_errors=True)

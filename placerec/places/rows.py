@@ -100,8 +100,13 @@ def check_embeddings(embeddings: Embeddings, dimensions: int) -> None:
         )
 
 
-def condition(sessions: Sequence[str] | None, recent: tuple[str, float] | None) -> str | None:
-    """Return in SQL which places are looked at, None for all.
+def conditions(
+    sessions: Sequence[str] | None, recent: tuple[str, float] | None
+) -> list[str | None]:
+    """Return in SQL which places are looked at, those that one of these holds for; None: all.
+
+    The places of who asks have a condition of their own: in a single one, the database would look
+    up all that are older than its recent ones, thus nearly all of the store, for every query.
 
     Args:
         sessions: whose places; None: all.
@@ -110,15 +115,17 @@ def condition(sessions: Sequence[str] | None, recent: tuple[str, float] | None) 
     Raises:
         RecognizerError: a name is none, or the time is not finite.
     """
-    parts = []
+    some = None
     if sessions is not None:
-        parts.append(f"session IN ({', '.join(map(_quoted, sessions))})" if sessions else "false")
-    if recent is not None:
-        session, since_s = recent
-        if not math.isfinite(since_s):
-            raise RecognizerError(f"recent places are those since {since_s!r}; give seconds")
-        parts.append(f"NOT (session = {_quoted(session)} AND time_s >= {float(since_s)!r})")
-    return " AND ".join(parts) or None
+        some = f"session IN ({', '.join(map(_quoted, sessions))})" if sessions else "false"
+    if recent is None:
+        return [some]
+    session, since_s = recent
+    if not math.isfinite(since_s):
+        raise RecognizerError(f"recent places are those since {since_s!r}; give seconds")
+    own = f"session = {_quoted(session)}"
+    parts = (f"NOT {own}", f"{own} AND time_s < {float(since_s)!r}")
+    return [each if some is None else f"{some} AND {each}" for each in parts]
 
 
 def _quoted(session: str) -> str:

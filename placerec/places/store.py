@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from placerec.certificate import fingerprint
 from placerec.checked_recognizer import COSINES, CheckedRecognizer, Embeddings
 from placerec.errors import RecognizerError
-from placerec.places.rows import SeenPlace, check_embeddings, checked_rows, condition, ranked
+from placerec.places.rows import SeenPlace, check_embeddings, checked_rows, conditions, ranked
 from placerec.places.table import ConflictError, PlaceTable
 from placerec.recognizer import PlaceRecognizer
 
@@ -109,17 +109,15 @@ class PlaceStore:
             LoopcloseError: the store cannot be read.
         """
         check_embeddings(embedding, 1)
-        asked = condition(sessions, recent)
+        asked = conditions(sessions, recent)
         if count <= 0 or not self._table.is_there():
             return ()
         self._table.check_size(embedding.size)
-        of_sessions = None if sessions is None else condition(sessions, None)
-        is_exact = self._table.count(of_sessions) <= EXACT_UP_TO
         wanted = count + _SPARE
         while True:
-            found = self._table.nearest(embedding, wanted, asked, is_exact=is_exact)
+            found = self._table.nearest(embedding, wanted, asked, EXACT_UP_TO)
             similarities, seen = ranked(embedding, *found)
-            if len(seen) < wanted or similarities[-1] < similarities[count - 1] - _MARGIN:
+            if len(seen) < wanted or similarities[wanted - 1] < similarities[count - 1] - _MARGIN:
                 return tuple(seen[:count])
             wanted *= 2  # the database chose among equal ones, by no rule
 

@@ -24,9 +24,12 @@ from placerec.places.rows import Rows
 _NAME, _FINGERPRINT = "places", b"fingerprint"
 _COLUMNS = ["session", "keyframe", "time_s", "embedding"]
 _SCHEMES = ("s3", "gs", "az")
-_PROBES, _REFINED = 20, 4
-"""Cells that are looked into, and how many times as many places as wanted are compared exactly."""
-_SAMPLES, _ROUNDS = 64, 10
+_PROBES, _REFINED = 700, 4
+"""Cells that are looked into, and how many times as many places as wanted are compared exactly.
+
+A third of the cells of 10^6 places: in so many dimensions k-means tears apart what is alike.
+"""
+_SAMPLES, _ROUNDS = 32, 10
 """Of k-means: embeddings for each cell, and how often they are assigned anew."""
 _TRIES, _LONGEST_WAIT_S = 20, 2.0
 _KEPT = timedelta(hours=1)
@@ -60,16 +63,19 @@ class PlaceTable:
             raise LoopcloseError(f"a store is in a folder or at {known}, not at: {address}")
         lancedb = _library()
         with self._as_one_line():
-            # What others have written is to be seen at once.
-            self._database = lancedb.connect(address, read_consistency_interval=timedelta(0))
+            self._database = lancedb.connect(address)
         self._table: Any = None
         self.is_there()
 
     def is_there(self) -> bool:
-        """Return whether the table is there by now, and open it."""
-        if self._table is not None:
-            return True
+        """Return whether the table is there by now, and take up what others have written.
+
+        Only here, once for each query: all versions of the last hour are listed for it.
+        """
         with self._as_one_line():
+            if self._table is not None:
+                self._table.checkout_latest()
+                return True
             try:
                 table = self._database.open_table(_NAME)
             except ValueError as error:
@@ -141,23 +147,20 @@ class PlaceTable:
         raise LoopcloseError(f"too many write to the store at once; try later: {self._address}")
 
     def nearest(
-        self, embedding: Embeddings, count: int, condition: str | None, *, is_exact: bool
+        self, embedding: Embeddings, count: int, conditions: list[str | None], exact_up_to: int
     ) -> tuple[list[str], list[int], list[float], Embeddings]:
         """Return the columns of the places that are most similar, in no certain order.
 
-        Exactly those where all are compared, else those that the indices find.
+        So many of those that each of some conditions holds for, of which no two hold for the same
+        place: exactly these where it holds for few, all compared, else those that the cells have.
         """
+        import pyarrow as pa
+
         with self._as_one_line():
-            search = self._table.search(embedding, vector_column_name="embedding")
-            search = search.distance_type("cosine").select([*_COLUMNS, "_distance"]).limit(count)
-            if condition is not None:
-                search = search.where(condition, prefilter=True)
-            if is_exact:
-                search = search.bypass_vector_index()
-            else:
-                search = search.minimum_nprobes(_PROBES).maximum_nprobes(0)
-                search = search.refine_factor(_REFINED)
-            found = search.to_arrow()
+            searches = [self._search(embedding, count, each, exact_up_to) for each in conditions]
+            found = pa.concat_tables([each.to_arrow() for each in searches])
+            if len(found) < count:  # perhaps these cells have few of such places
+                found = pa.concat_tables([each.maximum_nprobes(0).to_arrow() for each in searches])
             flat = np.asarray(found["embedding"].combine_chunks().flatten())
             embeddings = flat.reshape(-1, embedding.size)
             sessions, keyframes, times_s = (found[each].to_pylist() for each in _COLUMNS[:3])
@@ -168,8 +171,20 @@ class PlaceTable:
             )
         return sessions, keyframes, times_s, embeddings
 
+    def _search(
+        self, embedding: Embeddings, count: int, condition: str | None, exact_up_to: int
+    ) -> Any:
+        search = self._table.search(embedding, vector_column_name="embedding")
+        search = search.distance_type("cosine").select([*_COLUMNS, "_distance"]).limit(count)
+        if condition is not None:
+            search = search.where(condition, prefilter=True)
+        if self.count(condition) <= exact_up_to:
+            return search.bypass_vector_index()
+        # Without a bound all cells are looked into, even where the first have enough.
+        return search.nprobes(_PROBES).refine_factor(_REFINED)
+
     def index(self) -> None:
-        """Sort sessions and times, and divide the embeddings into cells of similar ones.
+        """Sort the sessions, and divide the embeddings into cells of similar ones.
 
         The cells are made anew where there are four times as many places as when they were made.
 
@@ -179,11 +194,10 @@ class PlaceTable:
         from lancedb.index import BTree, IvfRq
 
         with self._as_one_line():
-            cells = math.isqrt(int(self._table.count_rows()))
+            cells = 2 * math.isqrt(int(self._table.count_rows()))
             made = [each.name for each in self._table.list_indices()]
-            for column in ("session", "time_s"):
-                if column not in made:
-                    self._table.create_index(column, config=BTree(), name=column)
+            if "session" not in made:
+                self._table.create_index("session", config=BTree(), name="session")
             before = {name: int(name.split("_")[1]) for name in made if name.startswith("cells_")}
             if before and cells < 2 * max(before.values()):
                 return

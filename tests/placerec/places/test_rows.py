@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from placerec.errors import RecognizerError
-from placerec.places.rows import check_embeddings, checked_rows, condition
+from placerec.places.rows import check_embeddings, checked_rows, conditions
 
 ROW = np.eye(4, dtype=np.float32)[:1]
 
@@ -53,10 +53,15 @@ def test_what_no_checked_recognizer_makes_is_refused(embeddings, line):
 
 
 def test_conditions_are_quoted():
-    assert condition(None, None) is None
-    assert condition([], None) == "false"
-    assert condition(["it's"], None) == "session IN ('it''s')"
-    assert condition(None, ("a", 2)) == "NOT (session = 'a' AND time_s >= 2.0)"
-    assert condition(["a", "b"], ("a", 0.5)).startswith("session IN ('a', 'b') AND NOT (")
+    assert conditions(None, None) == [None]
+    assert conditions([], None) == ["false"]
+    assert conditions(["it's"], None) == ["session IN ('it''s')"]
+    others, own = conditions(None, ("it's", 2))
+    assert others == "NOT session = 'it''s'"
+    assert own == "session = 'it''s' AND time_s < 2.0"
+    assert conditions(["a", "b"], ("a", 0.5)) == [
+        "session IN ('a', 'b') AND NOT session = 'a'",
+        "session IN ('a', 'b') AND session = 'a' AND time_s < 0.5",
+    ]
     with pytest.raises(RecognizerError, match="recent places are those since nan"):
-        condition(None, ("a", float("nan")))
+        conditions(None, ("a", float("nan")))

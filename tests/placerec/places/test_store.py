@@ -58,11 +58,13 @@ def test_answers_are_those_of_an_index_to_the_last_bit(opened, unit, monkeypatch
         )
 
 
-def test_equal_places_are_in_the_order_of_their_names_however_many_there_are(opened, unit):
+@pytest.mark.parametrize("recent", [None, ("d", 1.0)])
+def test_equal_places_are_in_the_order_of_their_names_however_many_there_are(opened, unit, recent):
     store, row = opened(), unit(1)
+    store.add("d", [0], [0.0], -row)
     for session in ("c", "a", "b"):
         store.add(session, range(19, -1, -1), np.zeros(20), np.repeat(row, 20, axis=0))
-    found = store.query(row[0], 21)
+    found = store.query(row[0], 21, recent=recent)
     assert [(each.session, each.keyframe) for each in found] == [
         *(("a", k) for k in range(20)),
         ("b", 0),
@@ -97,6 +99,54 @@ def test_new_places_are_found_before_and_after_tidying_a_large_store(opened, uni
     assert len(store) == 400
     (found,) = store.query(rows[7], 1, recent=("s1", 0.0), sessions=["s0", "s1"])
     assert found.session == "s0"
+
+
+def test_only_the_cells_that_are_most_alike_are_looked_into(opened, unit, monkeypatch):
+    monkeypatch.setattr(EXACT_UP_TO, 50)
+    monkeypatch.setattr("placerec.places.table._PROBES", 1)
+    monkeypatch.setattr("placerec.places.table._REFINED", 400)
+    store, rows, queries = opened(), unit(400), unit(20, seed=1)
+    store.add("a", range(400), np.arange(400.0), rows)
+
+    def first():
+        return [store.query(query, 1)[0].keyframe for query in queries]
+
+    exact = np.argmax(queries @ rows.T, axis=1).tolist()
+    assert first() == exact
+    store.tidy()
+    assert first() != exact
+
+
+def test_all_that_is_wanted_is_found_where_the_cells_most_alike_lack_it(opened, unit, monkeypatch):
+    monkeypatch.setattr(EXACT_UP_TO, 50)
+    monkeypatch.setattr("placerec.places.table._PROBES", 1)
+    store, noise = opened(), 0.1 * unit(200)
+    for session, at in (("near", 0), ("far", 1)):
+        rows = np.eye(16, dtype=np.float32)[at] + noise
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        store.add(session, range(200), np.arange(200.0), rows.astype(np.float32))
+    store.tidy()
+    query = np.eye(16, dtype=np.float32)[0]
+    assert {each.session for each in store.query(query, 5)} == {"near"}
+    assert [each.session for each in store.query(query, 5, sessions=["far"])] == 5 * ["far"]
+
+
+def test_the_own_recent_past_is_left_out_of_a_large_store_and_nothing_else(
+    opened, unit, monkeypatch
+):
+    monkeypatch.setattr(EXACT_UP_TO, 50)
+    monkeypatch.setattr("placerec.places.table._REFINED", 300)
+    store, rows = opened(), unit(300)
+    for k, session in enumerate("abc"):
+        store.add(session, range(100), np.arange(100.0), rows[100 * k : 100 * k + 100])
+    store.tidy()
+    looked_at = np.r_[0:130, 200:300]
+    for query in unit(5, seed=1):
+        best = looked_at[np.argsort(-(rows[looked_at] @ query))[:7]]
+        found = store.query(query, 7, recent=("b", 30.0))
+        assert [(each.session, each.keyframe) for each in found] == [
+            ("abc"[k // 100], k % 100) for k in best
+        ]
 
 
 def test_an_empty_store_is_no_error_and_makes_nothing(opened, unit):
