@@ -92,11 +92,12 @@ class _Growth:
         """Return what the map comes to once nothing more is sure enough."""
         system, scale = self._system, self._scale()
         trials = np.zeros(system.loop_count, np.int64)
-        spread = _spread(self._T, system.is_planar)
         rounds = min(_MOST_ROUNDS, 1 + _MOST_POSES // len(self._T))
         for _ in range(rounds):
             draws = system.with_only(self._kept).draws(self._T)
             errors, covariance = system.predicted(self._T, draws)
+            # Of the map as it is by now: the odometry alone may wander over much more.
+            spread = _spread(self._T, system.is_planar)
             squared = squared_errors(errors, covariance)
             is_open = ~self._kept & (squared < scale * self._wide)
             evidence = _evidence(errors, scale * covariance, spread) + self._by_reach
@@ -120,17 +121,18 @@ class _Growth:
         return result.cost + 2.0 * float(self._by_reach[~result.kept].sum())
 
     def thinks_again(self, begins_anew: bool) -> bool:
-        """Give up what may have fitted by chance, among so many that did not; say if any did.
+        """Give up what may have fitted by chance, among so many that did not; say if it may differ.
 
-        By then the reaches of loops tell more. Of a cluster that came in early every loop makes the
-        others sure: only a map that begins anew can show that it was false.
+        By then the reaches of loops tell more, and may speak for what was left out. Of a cluster
+        that came in early every loop makes the others sure: only a map that begins anew can show
+        that it was false.
         """
         by_reach = _evidence_by_reach(self._system.reaches_m, self._kept)
         self._evidence += by_reach - self._by_reach
         self._by_reach = by_reach
         left_out = np.count_nonzero(~self._kept)
         weak = self._kept & (self._evidence < np.log1p(left_out) + _BEYOND_CHANCE)
-        if not weak.any():
+        if not weak.any() and (begins_anew or not left_out):
             return False
         if begins_anew:
             self._T = self._system.T_links
