@@ -83,7 +83,7 @@ class _Growth:
         self._system, self._limit, self._wide = system, limit, wide
         self._given = self._kept = given
         self._T, self._is_at_rest = _settled(system, system.T_links, self._kept)
-        # How sure a loop was when it was taken in, and how far from what was foretold.
+        # How sure a loop was when taken in, or left out at last; how far off what was foretold.
         self._evidence = np.where(given, np.inf, 0.0)
         self._foretold = np.zeros(system.loop_count)
         self._by_reach = np.zeros(system.loop_count)
@@ -110,6 +110,8 @@ class _Growth:
             self._move_to(self._kept | new)
             self._kept &= system.squared_errors(self._T) < self._wide
             scale = self._scale()
+        still_open = np.where(is_open, evidence, -np.inf)
+        self._evidence = np.where(self._kept, self._evidence, still_open)
         T, kept, squared, is_at_rest = self._polished()
         is_complete &= self._is_at_rest and is_at_rest
         cost = system.links_cost(T) + float(np.minimum(squared, self._wide).sum())
@@ -130,9 +132,10 @@ class _Growth:
         by_reach = _evidence_by_reach(self._system.reaches_m, self._kept)
         self._evidence += by_reach - self._by_reach
         self._by_reach = by_reach
-        left_out = np.count_nonzero(~self._kept)
-        weak = self._kept & (self._evidence < np.log1p(left_out) + _BEYOND_CHANCE)
-        if not weak.any() and (begins_anew or not left_out):
+        left_out = ~self._kept
+        may_come = _next(np.where(left_out, self._evidence, -np.inf)).any()
+        weak = self._kept & (self._evidence < np.log1p(left_out.sum()) + _BEYOND_CHANCE)
+        if not weak.any() and (begins_anew or not may_come):
             return False
         if begins_anew:
             self._T = self._system.T_links

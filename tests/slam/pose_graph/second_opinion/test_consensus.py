@@ -150,16 +150,17 @@ def test_the_weak_are_given_up_first_then_all_that_grew(corridors):
     np.testing.assert_allclose(growth._T, system.T_links, atol=1e-6)
 
 
-def test_what_was_left_out_is_thought_of_again_where_nothing_is_weak(corridors):
+@pytest.mark.parametrize("evidence", [4.0, 6.0])
+def test_what_was_left_out_is_thought_of_again_if_it_may_come_in(corridors, evidence):
+    """Nothing is weak, but the reaches of the others speak for it by now."""
     world = corridors()
     growth = _Growth(MotionSystem(world.graph(world.true(0))), LIMIT, WIDE, np.zeros(10, np.bool_))
     growth._move_to(np.arange(10) > 0)
-    growth._evidence = np.full(10, 40.0)
-    assert growth.thinks_again(begins_anew=False)
+    growth._evidence = np.where(growth._kept, 40.0, evidence)
+    growth._by_reach = _evidence_by_reach(growth._system.reaches_m, growth._kept)
+    assert growth.thinks_again(begins_anew=False) == (evidence > 5.0)
     assert growth._kept.sum() == 9
     assert not growth.thinks_again(begins_anew=True)
-    growth._move_to(np.ones(10, np.bool_))
-    assert not growth.thinks_again(begins_anew=False)
 
 
 def test_a_map_is_as_large_as_it_is_not_as_far_as_its_odometry_wanders(corridors):
