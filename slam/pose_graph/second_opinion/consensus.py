@@ -83,7 +83,7 @@ class _Growth:
         self._system, self._limit, self._wide = system, limit, wide
         self._given = self._kept = given
         self._T, self._is_at_rest = _settled(system, system.T_links, self._kept)
-        # How sure a loop was when it was taken in, and how far from what was foretold.
+        # How sure a loop was when taken in, or left out at last; how far off what was foretold.
         self._evidence = np.where(given, np.inf, 0.0)
         self._foretold = np.zeros(system.loop_count)
         self._by_reach = np.zeros(system.loop_count)
@@ -92,11 +92,12 @@ class _Growth:
         """Return what the map comes to once nothing more is sure enough."""
         system, scale = self._system, self._scale()
         trials = np.zeros(system.loop_count, np.int64)
-        spread = _spread(self._T, system.is_planar)
         rounds = min(_MOST_ROUNDS, 1 + _MOST_POSES // len(self._T))
         for _ in range(rounds):
             draws = system.with_only(self._kept).draws(self._T)
             errors, covariance = system.predicted(self._T, draws)
+            # Of the map as it is by now: the odometry alone may wander over much more.
+            spread = _spread(self._T, system.is_planar)
             squared = squared_errors(errors, covariance)
             is_open = ~self._kept & (squared < scale * self._wide)
             evidence = _evidence(errors, scale * covariance, spread) + self._by_reach
@@ -109,6 +110,8 @@ class _Growth:
             self._move_to(self._kept | new)
             self._kept &= system.squared_errors(self._T) < self._wide
             scale = self._scale()
+        still_open = np.where(is_open, evidence, -np.inf)
+        self._evidence = np.where(self._kept, self._evidence, still_open)
         T, kept, squared, is_at_rest = self._polished()
         is_complete &= self._is_at_rest and is_at_rest
         cost = system.links_cost(T) + float(np.minimum(squared, self._wide).sum())
@@ -120,17 +123,19 @@ class _Growth:
         return result.cost + 2.0 * float(self._by_reach[~result.kept].sum())
 
     def thinks_again(self, begins_anew: bool) -> bool:
-        """Give up what may have fitted by chance, among so many that did not; say if any did.
+        """Give up what may have fitted by chance, among so many that did not; say if it may differ.
 
-        By then the reaches of loops tell more. Of a cluster that came in early every loop makes the
-        others sure: only a map that begins anew can show that it was false.
+        By then the reaches of loops tell more, and may speak for what was left out. Of a cluster
+        that came in early every loop makes the others sure: only a map that begins anew can show
+        that it was false.
         """
         by_reach = _evidence_by_reach(self._system.reaches_m, self._kept)
         self._evidence += by_reach - self._by_reach
         self._by_reach = by_reach
-        left_out = np.count_nonzero(~self._kept)
-        weak = self._kept & (self._evidence < np.log1p(left_out) + _BEYOND_CHANCE)
-        if not weak.any():
+        left_out = ~self._kept
+        may_come = _next(np.where(left_out, self._evidence, -np.inf)).any()
+        weak = self._kept & (self._evidence < np.log1p(left_out.sum()) + _BEYOND_CHANCE)
+        if not weak.any() and (begins_anew or not may_come):
             return False
         if begins_anew:
             self._T = self._system.T_links

@@ -150,6 +150,32 @@ def test_the_weak_are_given_up_first_then_all_that_grew(corridors):
     np.testing.assert_allclose(growth._T, system.T_links, atol=1e-6)
 
 
+@pytest.mark.parametrize("evidence", [4.0, 6.0])
+def test_what_was_left_out_is_thought_of_again_if_it_may_come_in(corridors, evidence):
+    """Nothing is weak, but the reaches of the others speak for it by now."""
+    world = corridors()
+    growth = _Growth(MotionSystem(world.graph(world.true(0))), LIMIT, WIDE, np.zeros(10, np.bool_))
+    growth._move_to(np.arange(10) > 0)
+    growth._evidence = np.where(growth._kept, 40.0, evidence)
+    growth._by_reach = _evidence_by_reach(growth._system.reaches_m, growth._kept)
+    assert growth.thinks_again(begins_anew=False) == (evidence > 5.0)
+    assert growth._kept.sum() == 9
+    assert not growth.thinks_again(begins_anew=True)
+
+
+def test_a_map_is_as_large_as_it_is_not_as_far_as_its_odometry_wanders(corridors):
+    """A map that is gone on with says the same of what fits by chance as it did on its way."""
+    world = corridors(worse=30.0)
+    near = [world.measured(k, k + 4, world.motion(k, k + 4)) for k in range(116)]
+    system = MotionSystem(world.graph(near + world.alike(5, 75, 3)))
+    growth = _Growth(system, LIMIT, WIDE, np.zeros(len(near) + 3, np.bool_))
+    first = growth.result()
+    assert np.ptp(system.T_links[:, :3, 3]) > 1.2 * np.ptp(first.T_world_kf[:, :3, 3])
+    again = growth.result()
+    np.testing.assert_array_equal(again.kept, first.kept)
+    assert again.chance_fits == pytest.approx(first.chance_fits, rel=1e-6) and first.chance_fits > 0
+
+
 def test_what_is_left_out_costs_more_where_its_reach_speaks_for_it(corridors):
     world = corridors()
     graph = world.graph(world.true(0))
