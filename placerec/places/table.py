@@ -11,6 +11,7 @@ import random
 import re
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
@@ -156,11 +157,13 @@ class PlaceTable:
         """
         import pyarrow as pa
 
-        with self._as_one_line():
+        # A search keeps one core busy, and most have two.
+        with self._as_one_line(), ThreadPoolExecutor(len(conditions)) as pool:
             searches = [self._search(embedding, count, each, exact_up_to) for each in conditions]
-            found = pa.concat_tables([each.to_arrow() for each in searches])
+            found = pa.concat_tables(pool.map(_answer, searches))
             if len(found) < count:  # perhaps these cells have few of such places
-                found = pa.concat_tables([each.maximum_nprobes(0).to_arrow() for each in searches])
+                wider = [each.maximum_nprobes(0) for each in searches]
+                found = pa.concat_tables(pool.map(_answer, wider))
             flat = np.asarray(found["embedding"].combine_chunks().flatten())
             embeddings = flat.reshape(-1, embedding.size)
             sessions, keyframes, times_s = (found[each].to_pylist() for each in _COLUMNS[:3])
@@ -235,6 +238,10 @@ class PlaceTable:
 
 class ConflictError(LoopcloseError):
     """Another process made the next version of the store first."""
+
+
+def _answer(search: Any) -> Any:
+    return search.to_arrow()
 
 
 def _library() -> Any:
