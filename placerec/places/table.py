@@ -25,10 +25,10 @@ from placerec.places.rows import Rows
 _NAME, _FINGERPRINT = "places", b"fingerprint"
 _COLUMNS = ["session", "keyframe", "time_s", "embedding"]
 _SCHEMES = ("s3", "gs", "az")
-_PROBES, _REFINED = 700, 4
+_PROBES, _REFINED = 550, 4
 """Cells that are looked into, and how many times as many places as wanted are compared exactly.
 
-A third of the cells of 10^6 places: in so many dimensions k-means tears apart what is alike.
+A quarter of the cells of 10^6 places: in so many dimensions k-means tears apart what is alike.
 """
 _SAMPLES, _ROUNDS = 32, 10
 """Of k-means: embeddings for each cell, and how often they are assigned anew."""
