@@ -19,7 +19,7 @@ def run_of_two_threads(_arguments):
     clock = StageClock()
     other = threading.Thread(target=busy, args=(clock, "describe", 0.02), name="loops_0")
     other.start()
-    busy(clock, "track", 0.05)
+    busy(clock, "track", 0.1)
     with clock.stage("track"):
         time.sleep(0.2)  # waiting is no work
     other.join()
@@ -37,10 +37,10 @@ def profiled(monkeypatch):
 def test_work_is_counted_where_it_is_done(profiled):
     own = {("MainThread", stage) for stage in ("start-up", "track", "outputs")}
     assert set(profiled.stages) == {*own, ("loops", "describe")}
-    assert 0.05 <= profiled.stages["MainThread", "track"] < 0.2
+    assert 0.1 <= profiled.stages["MainThread", "track"] < 0.2
     assert profiled.stages["loops", "describe"] >= 0.02
     assert profiled.total_s >= sum(profiled.stages.values()) - 0.01
-    assert profiled.threads["MainThread"] >= 0.03  # the system counts in ticks
+    assert profiled.threads["MainThread"] > 0.035  # the system counts in ticks of 0.01, not all
 
 
 def test_the_tables_have_a_row_per_stage_and_per_thread(profiled):
