@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of an odometry's poses, one a line: TUM, KITTI, EuRoC, planar; told by what they hold."""
+"""Files of an odometry's poses, one a line; their format is told by what they hold."""
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,125 +12,15 @@ from placerec.datasets.tum_lists import as_numbers, read_lines, split_fields
 from placerec.files import write_atomically
 from slam.config import InputConfig
 from slam.datasets.bags import is_bag, read_bag_odometry
-from slam.datasets.true_poses import rigid
+from slam.datasets.pose_formats import EUROC, FORMATS, PoseFormat, to_quaternion
 from slam.evaluation.trajectory import placeable
-from slam.geometry import se3
 from slam.types import FloatArray, SlamError, Trajectory
 
 _NANOSECONDS = 1e14  # no time in seconds is as large, and one in nanoseconds no smaller since 1970
 _NANOSECONDS_OF_TUM = 1e17  # in lines like TUM's, as some write them; microseconds are no larger
-_MIN_NORM = 1e-6
 # Poses leap to and fro between two frames where every one is so many times as far from the next as
 # from the one after, and further than this.
 _TO_AND_FRO, _TO_AND_FRO_M = 5.0, 0.05
-
-
-@dataclass(frozen=True)
-class PoseFormat:
-    """A way of writing poses, one a line.
-
-    Attributes:
-        name: for people.
-        columns: what a line holds, for people.
-        count: how many numbers that is.
-        has_time: whether the first of them is the time; else a line belongs to an image.
-        ending: of the file's name.
-        separator: between two numbers.
-        parse: returns the (4, 4) pose of the others; raises SlamError where they are none.
-        numbers: returns the others of a (4, 4) pose.
-    """
-
-    name: str
-    columns: str
-    count: int
-    has_time: bool
-    ending: str
-    separator: str
-    parse: Callable[[FloatArray], FloatArray]
-    numbers: Callable[[FloatArray], FloatArray]
-
-
-def _of_quaternion(values: FloatArray) -> FloatArray:
-    if np.linalg.norm(values[3:7]) < _MIN_NORM:
-        raise SlamError("has a quaternion of length zero")
-    return se3.from_rotation_translation(se3.from_quaternion(values[3:7]), values[:3])
-
-
-def _to_quaternion(T: FloatArray) -> FloatArray:
-    return np.concatenate([T[:3, 3], se3.to_quaternion(T[:3, :3])])
-
-
-def _of_w_first(values: FloatArray) -> FloatArray:
-    return _of_quaternion(values[[0, 1, 2, 4, 5, 6, 3]])
-
-
-def _to_w_first(T: FloatArray) -> FloatArray:
-    return _to_quaternion(T)[[0, 1, 2, 6, 3, 4, 5]]
-
-
-def _of_rows(values: FloatArray) -> FloatArray:
-    T = np.eye(4)
-    T[: len(values) // 4] = values.reshape(-1, 4)
-    try:
-        return rigid(T, "pose", Path())
-    except SlamError:
-        raise SlamError("is no rotation and translation") from None
-
-
-def _to_three_rows(T: FloatArray) -> FloatArray:
-    return T[:3].ravel()
-
-
-def _to_four_rows(T: FloatArray) -> FloatArray:
-    return T.ravel()
-
-
-def _of_planar(values: FloatArray) -> FloatArray:
-    x, y, yaw = values
-    R = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0, 0, 1]])
-    return se3.from_rotation_translation(R, np.array([x, y, 0.0]))
-
-
-def _to_planar(T: FloatArray) -> FloatArray:
-    return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
-
-
-_EUROC = PoseFormat(
-    "EuRoC", "time in ns, px py pz qw qx qy qz ...", 8, True, ".csv", ",", _of_w_first, _to_w_first
-)
-FORMATS = (
-    PoseFormat(
-        "TUM", "time tx ty tz qx qy qz qw", 8, True, ".txt", " ", _of_quaternion, _to_quaternion
-    ),
-    PoseFormat(
-        "KITTI", "a (3, 4) matrix by rows", 12, False, ".txt", " ", _of_rows, _to_three_rows
-    ),
-    PoseFormat(
-        "KITTI with times",
-        "time and a (3, 4) matrix",
-        13,
-        True,
-        ".txt",
-        " ",
-        _of_rows,
-        _to_three_rows,
-    ),
-    PoseFormat(
-        "matrices", "a (4, 4) matrix by rows", 16, False, ".txt", " ", _of_rows, _to_four_rows
-    ),
-    PoseFormat(
-        "matrices with times",
-        "time and a (4, 4) matrix",
-        17,
-        True,
-        ".txt",
-        " ",
-        _of_rows,
-        _to_four_rows,
-    ),
-    PoseFormat("planar", "time x y yaw", 4, True, ".txt", " ", _of_planar, _to_planar),
-)
-"""Told apart by their number of columns; EuRoC's by its times in nanoseconds."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +54,7 @@ def read_odometry(path: Path, images_s: FloatArray, config: InputConfig) -> Pose
     bag = read_bag_odometry(path, config)
     _check_times(bag.trajectory.timestamps_s, images_s, path)
     stamps = tuple(f"{time_s:.9f}" for time_s in bag.trajectory.timestamps_s)
-    T_base_cam = None if bag.T_body_cam is None else tuple(_to_quaternion(bag.T_body_cam).tolist())
+    T_base_cam = None if bag.T_body_cam is None else tuple(to_quaternion(bag.T_body_cam).tolist())
     return PoseFile(FORMATS[0], bag.trajectory, stamps, (), T_base_cam)
 
 
@@ -184,7 +73,7 @@ def read_pose_file(file: Path, images_s: FloatArray) -> PoseFile:
         return PoseFile(form, trajectory, ())
     warnings: list[str] = []
     stamps_s = np.array([values[0] for values in tables])
-    if form is _EUROC:
+    if form is EUROC:
         stamps_s /= 1e9
     else:
         stamps_s = like_images(stamps_s, images_s, file, warnings)
@@ -225,7 +114,7 @@ def read_trajectory(file: Path) -> PoseFile:
             f"line {number} has {'the time of' if is_again else 'a time before that of'} line"
             f" {before}; sort the lines by time, one per time: {line!r}: {file}"
         )
-    if form is _EUROC or stamps_s[0] > _NANOSECONDS_OF_TUM:
+    if form is EUROC or stamps_s[0] > _NANOSECONDS_OF_TUM:
         stamps_s = stamps_s / 1e9
     return PoseFile(form, Trajectory(stamps_s, T), ())
 
@@ -238,7 +127,7 @@ def write_pose_file(file: Path, source: PoseFile, corrected: Trajectory) -> None
     """
     form, separator = source.format, source.format.separator
     stamp_of = dict(zip(source.trajectory.timestamps_s.tolist(), source.stamps, strict=False))
-    lines = [f"#{separator.join(form.columns.split())}"] if form is _EUROC else []
+    lines = [f"#{separator.join(form.columns.split())}"] if form is EUROC else []
     for time_s, T in zip(corrected.timestamps_s.tolist(), corrected.T_world_cam, strict=True):
         # Adding 0.0 turns a rounded -0.0 into 0.0.
         numbers = [f"{value:.9f}" for value in np.round(form.numbers(T), 9) + 0.0]
@@ -294,8 +183,8 @@ def _numbers(number: int, line: str, file: Path) -> list[float]:
 
 def _format(values: list[float], first: tuple[int, str], file: Path) -> PoseFormat:
     number, line = first
-    if "," in line and values[0] > _NANOSECONDS and len(values) >= _EUROC.count:
-        return _EUROC
+    if "," in line and values[0] > _NANOSECONDS and len(values) >= EUROC.count:
+        return EUROC
     for form in FORMATS:
         if form.count == len(values):
             return form
@@ -306,7 +195,7 @@ def _format(values: list[float], first: tuple[int, str], file: Path) -> PoseForm
 
 
 def _known() -> str:
-    return "; ".join(f"{form.name}: {form.columns}" for form in (*FORMATS, _EUROC))
+    return "; ".join(f"{form.name}: {form.columns}" for form in (*FORMATS, EUROC))
 
 
 def _images_of(count: int, images_s: FloatArray, file: Path) -> FloatArray:

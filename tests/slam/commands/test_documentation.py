@@ -12,7 +12,7 @@ import pytest
 
 from slam.__main__ import main as run_slam
 from slam.commands.drift_report import main as drift_report
-from slam.datasets.pose_files import FORMATS
+from slam.datasets.pose_formats import FORMATS
 from slam.evaluation.trajectory import write_tum
 from slam.geometry import se3
 from slam.types import Trajectory

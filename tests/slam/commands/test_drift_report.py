@@ -8,7 +8,7 @@ import pytest
 
 from placerec.errors import printable
 from slam.commands.drift_report import main
-from slam.datasets.pose_files import FORMATS
+from slam.datasets.pose_formats import FORMATS
 from slam.geometry import se3
 from slam.output.comparison import plots
 from slam.types import SlamError

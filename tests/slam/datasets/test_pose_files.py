@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from placerec.errors import LoopcloseError
-from slam.datasets.pose_files import FORMATS, read_pose_file, read_trajectory, write_pose_file
+from slam.datasets.pose_files import read_pose_file, read_trajectory, write_pose_file
+from slam.datasets.pose_formats import FORMATS
 from slam.geometry import se3
 from slam.types import Trajectory
 
