@@ -24,7 +24,7 @@ from pathlib import Path
 from slam import SlamError, read_tum
 from slam.demo import render_sequence
 from slam.output.claimed_folder import OUTPUTS, UNFINISHED
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.types import Camera
 
 MOST_LOST_S = 5.0

@@ -19,7 +19,7 @@ from slam.config import load_config
 from slam.evaluation.drift import TrajectoryError, trajectory_error
 from slam.evaluation.trajectory import associate
 from slam.geometry import se3
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.types import FloatArray
 
 ESTIMATES = {"odometry": BEFORE, "corrected": AFTER}

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from slam.loops.saved_map import SavedMap as SavedMap
     from slam.loops.submaps import Loop as Loop
     from slam.loops.submaps import align_maps as align_maps
-    from slam.output.ledger import LoopRecord as LoopRecord
-    from slam.output.ledger import read_ledger as read_ledger
+    from slam.output.ledger.reading import read_ledger as read_ledger
+    from slam.output.ledger.records import LoopRecord as LoopRecord
     from slam.output.live.view import LiveView as LiveView
     from slam.output.map_folder.folder import load_map as load_map
     from slam.output.map_folder.folder import save_map as save_map
@@ -53,7 +53,7 @@ _HOME = {
     "LiveView": "slam.output.live.view",
     "Loop": "slam.loops.submaps",
     "LoopAttempt": "slam.types",
-    "LoopRecord": "slam.output.ledger",
+    "LoopRecord": "slam.output.ledger.records",
     "LoopcloseError": "placerec.errors",
     "Rejection": "slam.types",
     "SavedMap": "slam.loops.saved_map",
@@ -67,7 +67,7 @@ _HOME = {
     "load_map": "slam.output.map_folder.folder",
     "merge_maps": "slam.output.map_folder.merging",
     "open_sequence": "slam.datasets",
-    "read_ledger": "slam.output.ledger",
+    "read_ledger": "slam.output.ledger.reading",
     "read_tum": "slam.evaluation.trajectory",
     "save_map": "slam.output.map_folder.folder",
     "saved_map": "slam.output.map_folder.folder",

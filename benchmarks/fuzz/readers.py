@@ -44,7 +44,7 @@ from slam.datasets.images.exr import read_exr
 from slam.datasets.pose_files import read_odometry, read_trajectory
 from slam.output.comparison.runs import read_runs
 from slam.output.journal import Header, Journal
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.output.map_folder.folder import load_map, save_map
 from slam.output.replay.measurements import (
     MEASUREMENTS,

@@ -9,7 +9,8 @@ import numpy as np
 
 from slam.evaluation.drift import DriftReport
 from slam.output.decision import FALSE, LOOKED_AGAIN, Decision, decisions
-from slam.output.ledger import InfluenceRecord, influence_record
+from slam.output.ledger.records import InfluenceRecord
+from slam.output.ledger.writing import influence_record
 from slam.result import SlamResult
 from slam.types import Trajectory
 

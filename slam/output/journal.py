@@ -20,7 +20,7 @@ from slam.evaluation.trajectory import tum_lines
 from slam.output.claimed_folder import JOURNAL
 from slam.output.decision import Decision
 from slam.output.journal_lines import Line, attempt_line, attempt_of, frame_line, frame_of
-from slam.output.ledger import ledger_line
+from slam.output.ledger.writing import ledger_line
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame, preview
 from slam.types import (

@@ -18,7 +18,7 @@ from slam.evaluation.drift import DriftReport
 from slam.evaluation.trajectory import write_tum
 from slam.geometry.freed_memory import give_back
 from slam.output.claimed_folder import ClaimedFolder
-from slam.output.ledger import write_ledger
+from slam.output.ledger.writing import write_ledger
 from slam.output.mesh.separate_process import MESHES, meshes_apart
 from slam.output.point_cloud import write_map
 from slam.output.replay.measurements import MEASUREMENTS, Measurements, write_measurements

@@ -13,7 +13,7 @@ from slam.config import EvaluationConfig, InputConfig
 from slam.datasets import Sequence, Sessions, open_sequence
 from slam.evaluation.drift import DriftReport, compare_drift, trajectory_error
 from slam.evaluation.trajectory import write_tum
-from slam.output.ledger import write_ledger
+from slam.output.ledger.writing import write_ledger
 from slam.result import SlamResult
 from slam.system import Slam
 from slam.types import FloatArray

@@ -23,7 +23,7 @@ from slam.config import Config
 from slam.loops.saved_map import SavedMap
 from slam.output.claimed_folder import locked, sync
 from slam.output.decision import Decision, decisions
-from slam.output.ledger import ledger_line
+from slam.output.ledger.writing import ledger_line
 from slam.output.map_folder.array_files import (
     mapped_array,
     measure_file,

@@ -21,7 +21,7 @@ from slam.loops.stage_clock import StageClock
 from slam.mapping.map_adjustment import adjust_with_loops, size_warning
 from slam.mapping.stored_map import side_by_side
 from slam.output.decision import Decision
-from slam.output.ledger import renumbered
+from slam.output.ledger.writing import renumbered
 from slam.output.map_folder.folder import line_of
 from slam.types import IntArray, Link, LoopAttempt, SlamError
 

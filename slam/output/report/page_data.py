@@ -12,7 +12,7 @@ from slam.evaluation.per_metre import drift_per_metre
 from slam.geometry import se3
 from slam.output.counterfactual import left_out
 from slam.output.decision import ACCEPTED, FALSE, OUTVOTED, Decision
-from slam.output.ledger import influence_record
+from slam.output.ledger.writing import influence_record
 from slam.output.report.paths import Paths, at_keyframes
 from slam.output.report.pictures import map_points, packed, pictures
 from slam.result import SlamResult, compared

@@ -12,7 +12,7 @@ from slam.evaluation.trajectory import read_tum
 from slam.output import journal
 from slam.output.claimed_folder import JOURNAL
 from slam.output.journal import Header, JournalWriter, read_journal
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.output.replay.finishing import replayed
 from slam.output.replay.measurements import (
     MEASUREMENTS,

@@ -9,14 +9,9 @@ import pytest
 from slam.evaluation.drift import DriftReport, TrajectoryError
 from slam.evaluation.motion_truth import LoopTruth
 from slam.geometry import se3
-from slam.output.ledger import (
-    MotionRecord,
-    TruthRecord,
-    loop_records,
-    read_ledger,
-    renumbered,
-    write_ledger,
-)
+from slam.output.ledger.reading import read_ledger
+from slam.output.ledger.records import MotionRecord, TruthRecord
+from slam.output.ledger.writing import loop_records, renumbered, write_ledger
 from slam.result import SlamResult
 from slam.types import (
     Camera,

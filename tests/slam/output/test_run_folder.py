@@ -15,7 +15,7 @@ from slam.config import Config, EvaluationConfig, LoopConfig, MapConfig, load_co
 from slam.evaluation.drift import compare_drift
 from slam.evaluation.trajectory import read_tum
 from slam.output import run_folder
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.output.report import page
 from slam.output.run_folder import write_run
 from slam.result import MapMesh, MapMeshes

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from placerec.recognizers.gradients import GradientRecognizer
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.output.map_folder import folder as map_folder
 from slam.output.map_folder.folder import check_place, load_map, save_map, saved_map
 from slam.types import SlamError

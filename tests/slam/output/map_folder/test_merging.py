@@ -10,7 +10,7 @@ import pytest
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.__main__ import main
 from slam.evaluation.trajectory import read_tum
-from slam.output.ledger import read_ledger
+from slam.output.ledger.reading import read_ledger
 from slam.output.map_folder.folder import load_map, save_map, saved_map
 from slam.output.map_folder.merging import merge_maps
 from slam.system import Slam
