@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
     from slam.loops.correction import Correction as Correction
-    from slam.loops.loop_closure import verify_loop as verify_loop
     from slam.loops.saved_map import SavedMap as SavedMap
     from slam.loops.submaps import Loop as Loop
     from slam.loops.submaps import align_maps as align_maps
+    from slam.loops.verification import verify_loop as verify_loop
     from slam.output.ledger.reading import read_ledger as read_ledger
     from slam.output.ledger.records import LoopRecord as LoopRecord
     from slam.output.live.view import LiveView as LiveView
@@ -72,7 +72,7 @@ _HOME = {
     "save_map": "slam.output.map_folder.folder",
     "saved_map": "slam.output.map_folder.folder",
     "solve_g2o": "slam.pose_graph.from_g2o",
-    "verify_loop": "slam.loops.loop_closure",
+    "verify_loop": "slam.loops.verification",
     "write_run": "slam.output.run_folder",
 }
 

@@ -32,7 +32,7 @@ from placerec.errors import LoopcloseError, RecognizerError
 from placerec.evaluation.bootstrap import draws, interval, resampling_units
 from placerec.evaluation.embeddings import EmbeddingCache, embed_dataset
 from placerec.recognizer import load
-from slam.loops.adaptive_threshold import AdaptiveThreshold
+from slam.loops.candidates.adaptive_threshold import AdaptiveThreshold
 
 MOST_CUT = 0.05
 """Share of the true pairs that the oracle cuts off."""

@@ -33,7 +33,7 @@ from placerec.evaluation.second_look import LOOKED_AT
 from slam.config import Config
 from slam.datasets.formats import open_sequence
 from slam.geometry.features import FeatureExtractor, grey_of
-from slam.loops.second_look import agreements, rerank, strongest
+from slam.loops.candidates.second_look import agreements, rerank, strongest
 from slam.types import Camera, Features, FloatArray
 
 LEAST_MATCHES = 12

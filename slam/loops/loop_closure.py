@@ -13,15 +13,13 @@ from placerec.checked_recognizer import COSINES, CheckedRecognizer
 from placerec.places.index import PlaceIndex
 from placerec.recognizer import PlaceRecognizer
 from slam.config import LoopConfig, VerificationConfig
-from slam.geometry.motion_noise import loop_noise, translation_sigma_m, typical_depth_m
-from slam.geometry.relative_pose import estimate_relative_pose
-from slam.loops.adaptive_threshold import AdaptiveThreshold
-from slam.loops.known_distances import KnownDistances
-from slam.loops.novelty import Novelty
+from slam.loops.candidates.adaptive_threshold import AdaptiveThreshold
+from slam.loops.candidates.known_distances import KnownDistances
+from slam.loops.candidates.novelty import Novelty
+from slam.loops.candidates.second_look import SecondLook
 from slam.loops.remembered import Remembered
 from slam.loops.saved_map import SavedMap
-from slam.loops.second_look import SecondLook
-from slam.loops.submaps import Loop
+from slam.loops.verification import verified
 from slam.mapping.landmark_map import LandmarkMap
 from slam.result import Calibration, ThresholdFit, compared
 from slam.types import (
@@ -31,10 +29,7 @@ from slam.types import (
     Keyframe,
     LoopAttempt,
     Proposal,
-    Rejection,
     RejectionReason,
-    RelativePose,
-    Verification,
 )
 
 MOST_REMEMBERED = 500
@@ -252,7 +247,7 @@ class LoopCloser:
         self, query: Keyframe, match: Keyframe, similarity: float, proposed_by: Proposal
     ) -> LoopAttempt:
         """Return what geometry makes of two keyframes that need not be alike."""
-        verification, outcome, checks = _verified(
+        verification, outcome, checks = verified(
             match, query, self._camera, self._verification_config
         )
         return LoopAttempt(
@@ -314,36 +309,3 @@ class LoopCloser:
         return LoopAttempt(
             query.id, match.id, similarity, None, rejection, min_similarity=needed, checks=checks
         )
-
-
-def verify_loop(
-    match: Keyframe, query: Keyframe, camera: Camera, config: VerificationConfig | None = None
-) -> Loop | Rejection:
-    """Return the loop that two keyframes of any two maps make by geometry, or why they make none.
-
-    It is verified as every loop of a run. The camera took those keyframes that do not name theirs.
-    """
-    seen, outcome, _ = _verified(match, query, camera, config or VerificationConfig())
-    if isinstance(outcome, Rejection):
-        return outcome
-    points_ref_m = seen.points_ref_m[seen.inlier_mask].astype(np.float64)
-    return Loop.of(match.id, query.id, outcome, points_ref_m)
-
-
-def _verified(
-    match: Keyframe, query: Keyframe, camera: Camera, config: VerificationConfig
-) -> tuple[Verification, RelativePose | Rejection, tuple[Check, ...]]:
-    ours, theirs = (each.camera or camera for each in (query, match))
-    verification = estimate_relative_pose(match.features, query.features, ours, config, theirs)
-    outcome, checks = verification.outcome, verification.checks
-    if isinstance(outcome, RelativePose):
-        depth_m = typical_depth_m(match.features, query.features)
-        turning = (match.turning_rad_s, query.turning_rad_s)
-        # Of two cameras the worse one tells what their models leave out.
-        noisy = [loop_noise(outcome, each, depth_m, *turning) for each in (ours, theirs)]
-        outcome = max(noisy, key=translation_sigma_m)
-        share, most = translation_sigma_m(outcome) / depth_m, config.max_uncertainty
-        certain = Check(RejectionReason.UNCERTAIN_MOTION, share, most, bool(share <= most))
-        checks += (certain,)
-        outcome = certain.rejection or outcome
-    return verification, outcome, checks

@@ -10,7 +10,8 @@ from slam.config import LoopConfig, VerificationConfig
 from slam.geometry import se3
 from slam.geometry.motion_noise import loop_noise, typical_depth_m
 from slam.geometry.relative_pose import estimate_relative_pose
-from slam.loops.loop_closure import LoopCloser, verify_loop
+from slam.loops.loop_closure import LoopCloser
+from slam.loops.verification import verify_loop
 from slam.types import Frame, Keyframe, Proposal, Rejection, RejectionReason, RelativePose
 
 T_REF_QUERY = se3.exp(np.array([0.05, -0.08, 0.03, 0.12, -0.05, 0.08]))
@@ -480,7 +481,7 @@ def test_a_second_look_is_not_taken_at_what_is_not_similar(views):
 
 
 def test_in_a_large_map_known_places_are_no_candidates_any_more(views, monkeypatch):
-    monkeypatch.setattr("slam.loops.novelty._ALL_KEPT", 6)
+    monkeypatch.setattr("slam.loops.candidates.novelty._ALL_KEPT", 6)
     loop_closer = closer(camera=views.camera, candidates=10)
     attempts = run(loop_closer, views, [0] * 9)
     assert [len(each) for each in attempts[:6]] == [0, 1, 2, 3, 4, 5]
@@ -495,7 +496,7 @@ def test_in_a_large_map_known_places_are_no_candidates_any_more(views, monkeypat
 
 
 def test_where_the_recognizer_compares_every_place_stays_a_candidate(views, monkeypatch):
-    monkeypatch.setattr("slam.loops.novelty._ALL_KEPT", 2)
+    monkeypatch.setattr("slam.loops.candidates.novelty._ALL_KEPT", 2)
     loop_closer = closer(Levels(), camera=views.camera, candidates=10)
     for number in range(4):
         new = keyframe(number, views.reference, 10.0 * number)

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 
 from slam.geometry import se3
-from slam.loops.known_distances import KnownDistances
+from slam.loops.candidates.known_distances import KnownDistances
 from slam.types import Keyframe
 
 

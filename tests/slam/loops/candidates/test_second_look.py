@@ -11,7 +11,7 @@ from slam.config import Config, EvaluationConfig, FeaturesConfig, LoopConfig
 from slam.evaluation.drift import compare_drift
 from slam.geometry import se3
 from slam.geometry.features import FeatureExtractor, grey_of
-from slam.loops.second_look import NEEDED, SecondLook, rerank
+from slam.loops.candidates.second_look import NEEDED, SecondLook, rerank
 from slam.output.summary import summarise
 from slam.system import Slam
 from slam.types import Frame, Keyframe, RejectionReason

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slam.loops.novelty import Novelty
+from slam.loops.candidates.novelty import Novelty
 from slam.types import (
     Camera,
     LoopAttempt,
@@ -33,7 +33,7 @@ def loop(match_id, pixels=EVERYWHERE, *, is_kept=True):
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    monkeypatch.setattr("slam.loops.novelty._ALL_KEPT", 3)
+    monkeypatch.setattr("slam.loops.candidates.novelty._ALL_KEPT", 3)
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_keyframes_that_were_left_out_stand_for_nothing(novelty):
 
 
 def test_a_small_map_keeps_all_and_sorts_them_out_once_it_is_large(monkeypatch):
-    monkeypatch.setattr("slam.loops.novelty._ALL_KEPT", 5)
+    monkeypatch.setattr("slam.loops.candidates.novelty._ALL_KEPT", 5)
     novelty, chosen = Novelty(CAMERA), []
     for k in range(7):
         attempts = [loop(0), loop(1)] if k in (3, 5, 6) else []

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.loops.adaptive_threshold import AdaptiveThreshold
+from slam.loops.candidates.adaptive_threshold import AdaptiveThreshold
 
 CALIBRATED = 0.14
 
