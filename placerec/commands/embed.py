@@ -4,7 +4,6 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Annotated
 
@@ -16,11 +15,10 @@ from placerec.commands.data import RECOGNIZER, Data, open_images, without_truth
 from placerec.commands.fleet import (
     CORES,
     MEMORY_MB,
-    Finished,
     Fleet,
     asked_for,
     from_anywhere,
-    run_all,
+    run_named,
 )
 from placerec.datasets import PlaceDataset
 from placerec.datasets.names import find_data
@@ -184,18 +182,7 @@ def _embed_by(fleet: Fleet, tasks: dict[str, Task]) -> dict[str, str]:
     if not tasks:
         return {}
     note(f"embedding {len(tasks)} data sets, by {fleet.where}")
-    names, whys, ends = list(tasks), {}, count(1)
-    with progress_bar("embedding", len(tasks), "data set") as progress:
-
-        def tell(ended: Finished[str]) -> None:
-            name = names[ended.number]
-            if why := ended.why or ended.answer:
-                whys[name] = why
-                _log.error("%s: %s", name, why)
-            progress(next(ends), what=name)
-
-        run_all(embed_alone, list(tasks.values()), fleet, tell)
-    return whys
+    return run_named(embed_alone, tasks, fleet, "embedding", "data set")
 
 
 def embed_alone(task: Task, progress: Progress | None = None) -> str:

@@ -12,10 +12,12 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 from urllib.parse import urlsplit
 
+from placerec.commands.console import progress_bar
 from placerec.errors import RecognizerError, cause_of, terminations_interrupt
 from placerec.files import is_file
 
@@ -37,6 +39,7 @@ _ALWAYS = {
 # By which it listens on 127.0.0.1 alone; else on every network that the machine is in.
 _HERE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 _TEMPORARY = "/tmp"  # as Ray has it: names of sockets are short, and so has the folder's to be
+_log = logging.getLogger("placerec")
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -141,6 +144,35 @@ def run_all(
                 tell(Finished(number, ray.get(done)))
             except ray.exceptions.RayError as error:
                 tell(Finished(number, None, _said(error)))
+
+
+def run_named(
+    work: Callable[[T], str], tasks: Mapping[str, T], fleet: Fleet, doing: str, unit: str
+) -> dict[str, str]:
+    """Do tasks that have names, show how far it is, and return why those that failed did.
+
+    Args:
+        work: as for `run_all`; returns why it failed, "" where it did not.
+        tasks: by their names.
+        fleet: where.
+        doing: what is done, for the progress bar.
+        unit: what a task is, likewise.
+
+    Raises:
+        RecognizerError: as `run_all` does.
+    """
+    names, whys, ends = list(tasks), dict[str, str](), count(1)
+    with progress_bar(doing, len(tasks), unit) as progress:
+
+        def tell(ended: Finished[str]) -> None:
+            name = names[ended.number]
+            if why := ended.why or ended.answer:
+                whys[name] = why
+                _log.error("%s: %s", name, why)
+            progress(next(ends), what=name)
+
+        run_all(work, list(tasks.values()), fleet, tell)
+    return whys
 
 
 def _refuse_unreachable(address: str) -> None:

@@ -2,30 +2,27 @@
 """`run_slam batch`: a run on each of many recordings, here or on a Ray cluster."""
 
 import io
-import logging
 import os
 import time
 from collections.abc import Container, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from placerec.commands import usage
-from placerec.commands.console import note, progress_bar, say
+from placerec.commands.console import note, say
 from placerec.commands.fleet import (
     CORES,
     LOCAL,
     MEMORY_MB,
-    Finished,
     Fleet,
     Interrupted,
     from_anywhere,
-    run_all,
+    run_named,
 )
 from placerec.errors import cause_of
 from placerec.files import is_file, read_text, write_atomically
@@ -49,7 +46,6 @@ _NOT_HERE = (
     " --out at the same path"
 )
 _PATIENCE_S = 30  # with a run that goes on on a node that is taken for dead
-_log = logging.getLogger("slam")
 _DESCRIPTION = """Run on many recordings, each by itself, and put all into one table.
 
   run_slam batch recordings/*                  each gets its folder runs/NAME
@@ -233,18 +229,7 @@ def _write_settings(out: Path, settings: Config, names: Container[str]) -> None:
 def _run(jobs: dict[str, Job], fleet: Fleet) -> dict[str, str]:
     """Do runs, and return why those that failed did, by name."""
     note(f"running on {len(jobs)} of the recordings, by {fleet.where}")
-    names, failed, ends = list(jobs), {}, count(1)
-    with progress_bar("running", len(jobs), "recording") as progress:
-
-        def tell(ended: Finished[str]) -> None:
-            name = names[ended.number]
-            if why := ended.why or ended.answer:
-                failed[name] = why
-                _log.error("%s: %s", name, why)
-            progress(next(ends), what=name)
-
-        run_all(run_alone, list(jobs.values()), fleet, tell)
-    return failed
+    return run_named(run_alone, jobs, fleet, "running", "recording")
 
 
 def run_alone(job: Job) -> str:

@@ -147,7 +147,7 @@ def test_what_died_and_what_is_nowhere_to_be_seen_failed(folders, monkeypatch, c
         tell(Finished(1, None, "the worker died"))
         tell(Finished(0, ""))
 
-    monkeypatch.setattr(command, "run_all", run_all)
+    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
     asked = ("--address", "ray://head:10001", "--cores", "2", "--memory-mb", "512")
     assert main(["embed", *folders, *GRADIENTS, *asked]) == 2
     told = capsys.readouterr().out

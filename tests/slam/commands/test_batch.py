@@ -41,7 +41,7 @@ def started(monkeypatch):
             started.append(job.folder.rsplit("/")[-1])
             tell(Finished(number, work(job)))
 
-    monkeypatch.setattr("slam.commands.batch.run_all", run_all)
+    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
     return started
 
 
@@ -110,7 +110,7 @@ def test_what_died_and_what_is_nowhere_to_be_seen_failed(tmp_path, monkeypatch, 
         tell(Finished(1, None, "the worker died"))
         tell(Finished(0, ""))
 
-    monkeypatch.setattr("slam.commands.batch.run_all", run_all)
+    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
     asked = ("--address", "ray://head:10001", "--cores", "2", "--memory-mb", "512")
     assert batch(tmp_path / "runs", "a", "b", *asked) == 2
     told = " ".join(capsys.readouterr().out.split())
@@ -122,7 +122,7 @@ def test_a_batch_that_is_stopped_says_how_it_goes_on(tmp_path, monkeypatch, caps
     def run_all(work, jobs, fleet, tell):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("slam.commands.batch.run_all", run_all)
+    monkeypatch.setattr("placerec.commands.fleet.run_all", run_all)
     assert batch(tmp_path / "runs", "a") == 2
     assert "interrupted; the same command goes on" in capsys.readouterr().err
 
