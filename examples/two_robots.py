@@ -52,6 +52,7 @@ from slam import (
     open_sequence,
     read_tum,
     verify_loop,
+    write_tum,
 )
 from slam.datasets import Sequence, resolve
 
@@ -294,15 +295,6 @@ def film(sequence: Sequence, part: tuple[float, float]) -> Iterable[Frame]:
         yield sequence.frame(i)
 
 
-def write_poses(path: Path, poses: list[tuple[float, Array]]) -> None:
-    """Write (4, 4) poses and their times, seconds, in the TUM format."""
-    T = np.array([each for _, each in poses]).reshape(-1, 4, 4)
-    quaternions = [Rotation.from_matrix(each[:3, :3]).as_quat() for each in T]
-    times_s = [time_s for time_s, _ in poses]
-    rows = np.column_stack([times_s, T[:, :3, 3], np.reshape(quaternions, (-1, 4))])
-    np.savetxt(path, rows, fmt="%.6f")
-
-
 def drive(
     robot: Robot, frames: Iterable[Frame], shared: Path, patience_s: float = PATIENCE_S
 ) -> bool:
@@ -336,9 +328,9 @@ def drive(
     final = result.trajectory
     T_map_cam = robot.T_map_world @ robot.slam.correction.T_world_start @ final.T_world_cam
     if published:
-        write_poses(shared / robot.name / "live.txt", published)
-    poses = list(zip(final.timestamps_s, T_map_cam, strict=True))
-    write_poses(shared / robot.name / "trajectory.txt", poses)
+        times_s, T_live = zip(*published, strict=True)
+        write_tum(shared / robot.name / "live.txt", Trajectory(np.array(times_s), np.array(T_live)))
+    write_tum(shared / robot.name / "trajectory.txt", Trajectory(final.timestamps_s, T_map_cam))
     say(robot, f"{len(published)} poses published in the map, {len(robot.loops)} loops in the end")
     return True
 

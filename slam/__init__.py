@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from slam.datasets import open_sequence as open_sequence
     from slam.evaluation.drift import compare_drift as compare_drift
     from slam.evaluation.trajectory import read_tum as read_tum
+    from slam.evaluation.trajectory import write_tum as write_tum
     from slam.loops.correction import Correction as Correction
     from slam.loops.saved_map import SavedMap as SavedMap
     from slam.loops.submaps import Loop as Loop
@@ -74,6 +75,7 @@ _HOME = {
     "solve_g2o": "slam.pose_graph.from_g2o",
     "verify_loop": "slam.loops.verification",
     "write_run": "slam.output.run_folder",
+    "write_tum": "slam.evaluation.trajectory",
 }
 
 __all__ = sorted([*_HOME, "__version__"])
