@@ -65,14 +65,10 @@ def T_first_cam(sequence: Sequence) -> FloatArray:
 
 
 @pytest.fixture(scope="session")
-def assert_no_correction_hurts() -> Callable[[DriftReport], None]:
-    """Return a check that what came later is no worse than what came before: 2 % or 0.3 mm.
+def assert_no_correction_hurts() -> Callable[..., None]:
+    """Return a check that what came later is no worse than what came before: 2 % or 0.2 mm."""
 
-    On the rendered recording adjusting the map, without loops, adds 0.21 mm to 7.12 where a
-    processor rounds in one way, and less than 0.20 where it rounds in another.
-    """
-
-    def check(drift: DriftReport) -> None:
+    def check(drift: DriftReport, most_m: float = 2e-4) -> None:
         assert drift.live is not None
         steps = (
             (drift.odometry, drift.live),
@@ -80,7 +76,7 @@ def assert_no_correction_hurts() -> Callable[[DriftReport], None]:
             (drift.without_loops, drift.corrected),
         )
         for before, after in steps:
-            assert after.ate_rmse_m <= max(1.02 * before.ate_rmse_m, before.ate_rmse_m + 3e-4)
+            assert after.ate_rmse_m <= max(1.02 * before.ate_rmse_m, before.ate_rmse_m + most_m)
 
     return check
 
