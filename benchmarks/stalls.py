@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long one frame keeps `Slam.process` busy: prints Markdown tables of all calls of a run.
 
-    python benchmarks/stalls.py SEQUENCE [--runs 1] [--recognizer NAME] [--out FILE]
+    python -m benchmarks.stalls SEQUENCE [--runs 1] [--recognizer NAME] [--out FILE]
 
 The pipeline runs as in `run_slam`: images are decoded ahead in threads that a call competes with
 but does not count. Of several runs, each in this process, the worst of every figure is shown.
@@ -24,8 +24,8 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from sequences import find, machine  # type: ignore[import-not-found]  # beside this script
 
+from benchmarks.sequences import find, machine
 from placerec.recognizer import PlaceRecognizer, load
 from slam import Config, Slam, TrackedFrame, open_sequence
 from slam.commands.opening import DEFAULT_RECOGNIZER

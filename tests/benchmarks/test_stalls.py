@@ -1,30 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
+from benchmarks import stalls as benchmark
 from slam.demo.recording import render_sequence
 from slam.geometry.features import FeatureExtractor
 from slam.types import Camera
 
 pytestmark = pytest.mark.usefixtures("built_rooms")
-
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "stalls.py"
-
-
-@pytest.fixture(scope="module")
-def benchmark():
-    sys.path.insert(0, str(BENCHMARK.parent))  # as where Python runs a script
-    spec = importlib.util.spec_from_file_location("benchmark_of_stalls", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look their module up
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(BENCHMARK.parent))
-    return module
 
 
 def tables(text: str) -> list[list[list[str]]]:
@@ -36,7 +18,7 @@ def tables(text: str) -> list[list[list[str]]]:
     ]
 
 
-def test_all_calls_of_a_run_are_counted_and_the_longest_taken_apart(benchmark, tmp_path, capsys):
+def test_all_calls_of_a_run_are_counted_and_the_longest_taken_apart(tmp_path, capsys):
     camera = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
     render_sequence(tmp_path / "tiny", seconds=1.0, camera=camera)
     before = FeatureExtractor.extract
@@ -56,7 +38,7 @@ def test_all_calls_of_a_run_are_counted_and_the_longest_taken_apart(benchmark, t
         assert float(computing) > 0.0
 
 
-def test_the_worst_of_several_runs_is_shown(benchmark):
+def test_the_worst_of_several_runs_is_shown():
     calm = [benchmark.Call(i, ms=10.0, cpu_ms=9.0) for i in range(4)]
     tense = [benchmark.Call(i, ms=10.0 + 100.0 * (i == 2), cpu_ms=9.0) for i in range(4)]
     rows = {row[0]: row[1:] for row in tables(benchmark.distribution([calm, tense]))[0]}
@@ -67,6 +49,6 @@ def test_the_worst_of_several_runs_is_shown(benchmark):
     assert longest[2][:3] == ["2", "110.0", "9.0"] and len(longest) == 2 + benchmark.LONGEST
 
 
-def test_what_is_not_there_is_said(benchmark, capsys):
+def test_what_is_not_there_is_said(capsys):
     assert benchmark.main(["fr9_nowhere"]) == 1
     assert "fr9_nowhere" in capsys.readouterr().err
