@@ -93,8 +93,9 @@ def test_maps_become_one_where_loops_join_them_and_others_are_left_apart(
     assert later.process(frames[10]).segment == 0
 
 
-def test_a_store_proposes_what_is_compared_and_the_map_is_the_same(place, tmp_path, capsys):
-    pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")
+def test_a_store_proposes_what_is_compared_and_the_map_is_the_same(
+    place, tmp_path, capsys, needs_lancedb
+):
     asked = [place / name for name in ("else", "there", "back")]
     assert run(*asked, "--out", tmp_path / "all") == 0
     told = capsys.readouterr()

@@ -27,8 +27,7 @@ MAPS = {
 
 
 @pytest.fixture
-def store(tmp_path):
-    pytest.importorskip("lancedb", reason="needs LanceDB: pip install 'loopclose[fleet]'")
+def store(tmp_path, needs_lancedb):
     return PlaceStore(tmp_path / "store", GradientRecognizer())
 
 
