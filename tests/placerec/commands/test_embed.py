@@ -119,7 +119,7 @@ def test_what_was_made_otherwise_is_refused_before_anything_starts(folders, caps
         assert main(["embed", *typed, "--out", "out"]) == 2
         assert told in capsys.readouterr().err.splitlines()[-1]
     Path("c").rename("a")
-    assert main(["embed", "a", "--recognizer", "untrained", "--out", "out"]) == 2
+    assert main(["embed", "a", "--recognizer", "learned", "--out", "out"]) == 2
     assert "a.npz is there, and of another recognizer; choose" in capsys.readouterr().err
     Path("out/b.npz").write_bytes(b"mine")
     assert main(["embed", "b", *GRADIENTS, "--out", "out"]) == 2

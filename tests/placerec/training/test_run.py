@@ -231,7 +231,6 @@ def test_ctrl_c_is_one_line_and_the_same_command_goes_on(
 
 
 def test_bar_tells_loss_sets_left_rate_and_time_to_go(tower, tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv("TQDM_DISABLE", raising=False)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "200")
     assert _train(tower, tmp_path / "run", steps=2) == 0
