@@ -86,7 +86,7 @@ def test_few_are_compared_exactly(monkeypatch):
 
 
 def test_a_vector_of_very_many_values_does_not_overflow():
-    size = 100_000
+    size = 200_000
     row = np.where(np.arange(size) % 2, 1.0, -1.0).astype(np.float32) / np.float32(np.sqrt(size))
     index = PlaceIndex()
     for each in (-row, row, -row):
