@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from placerec.drawing import AFTER, BEFORE, TRUTH, canvas, png, svg
 from placerec.errors import LoopcloseError
+from placerec.evaluation.drawing import AFTER, BEFORE, TRUTH, canvas, png, svg
 from slam import read_tum
 from slam.config import load_config
 from slam.evaluation.drift import TrajectoryError, trajectory_error

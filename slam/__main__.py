@@ -148,7 +148,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _work(typed: list[str]) -> int:
     told = parse(typed)
     # The heavy libraries are loaded from here on, so that --help and typing errors answer at once.
-    from slam.geometry.compiled import telling_of_compiling
+    from placerec.compiled import telling_of_compiling
 
     with telling_of_compiling(lambda: note(_COMPILING)):
         (_finish if told.finish else _run)(told)

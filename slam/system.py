@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.certificate import Certificate
+from placerec.compiled import load_compiled
 from placerec.errors import Salvage, cause_of
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
@@ -18,7 +19,6 @@ from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.odometry import ExternalOdometry
 from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
-from slam.geometry.compiled import load_compiled
 from slam.loops.atlas import odometry_frames
 from slam.loops.back_end import BackEnd, ClosedLoops
 from slam.loops.correction import Correction

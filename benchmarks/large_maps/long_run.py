@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from placerec.drawing import canvas, line_styles, png, svg
+from placerec.evaluation.drawing import canvas, line_styles, png, svg
 from placerec.places.index import PlaceIndex
 from placerec.recognizer import load
 from slam import Camera, Config, Frame, Slam, TrackedFrame, Trajectory, compare_drift

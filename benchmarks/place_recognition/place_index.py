@@ -9,8 +9,8 @@ queries are places of the map, seen again with a little noise; half resemble non
 added and timed one by one. Before the queries are timed, some answers are compared with those of
 the plain comparison of all, and the command ends with 1 where they differ in any bit.
 
-On a busy machine look at the work, the processors' time of all threads: a query is shared out
-evenly.
+On a busy machine look at the work, the processors' time of all threads: a query of a large map is
+shared out evenly.
 
 Last comes what the end of a run asks: how alike the keyframes are, as many as its report shows.
 """

@@ -2,22 +2,27 @@
 """The places seen so far and how similar they are to a new one."""
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from placerec.checked_recognizer import COSINES, Comparer, Embeddings, Similarities
+from placerec.compiled import compiled
 from placerec.errors import RecognizerError
 
 FloatArray = NDArray[np.float64]
 
-_BLOCK_BYTES = 2**25
+_BLOCK_BYTES = 2**21
 """Codes are kept in blocks that stay where they are, so that no place waits for a copy.
 
-Memory is only taken as it fills; blocks of so many bytes are of large pages where there are any.
+Memory is only taken as it fills, and a small page at a time: of larger blocks, numpy asks for large
+pages, and the place that is the first on one waits until all of its 2 MB are cleared.
 """
+_BLOCKS_OF_A_THREAD = 8
+"""Comparing so many takes a millisecond, ten times as long as starting a thread for them."""
 _MOST_LEVELS = 127  # a value and its sign in a byte
 _ANSWERED_AT_ONCE = 160_000
 """Similarities that a recognizer with its own `compare` is asked for at a time, in the end."""
@@ -122,11 +127,12 @@ class PlaceIndex:
         """Return those of the ids that may be among the count most similar, ties included."""
         if count >= len(ids):
             return ids
-        estimates, margins = (values[ids] for values in bounds.of(embedding))
+        estimates, highest = bounds.of(embedding)
+        if len(ids) < len(estimates):
+            estimates, highest = estimates[ids], highest[ids]
         likely = ids[np.argpartition(estimates, -count)[-count:]]
         least = self._cosines(embedding, likely).min()
-        # Cosines end at -1, and so may their bounds.
-        return np.asarray(ids[np.maximum(estimates + margins, -1.0) >= least])
+        return np.asarray(ids[highest >= least])
 
     def _cosines(self, embedding: Embeddings, ids: NDArray[np.int64]) -> Similarities:
         rows = np.stack([self._rows[k] for k in ids])
@@ -142,18 +148,16 @@ class PlaceIndex:
 
 @dataclass(frozen=True)
 class _Coded:
-    """A vector x and its rounded r = scale * (code - levels).
+    """A vector x and its rounded r = scale * code.
 
     Attributes:
-        code: (D,) uint8.
+        code: (D,) int8.
         scale: how much a level is.
-        square: of the length of code - levels.
         length, error: those of r and of x - r.
     """
 
-    code: NDArray[np.uint8]
+    code: NDArray[np.int8]
     scale: float
-    square: float
     length: float
     error: float
 
@@ -165,7 +169,7 @@ class _CosineBounds:
     """
 
     def __init__(self) -> None:
-        self._codes: list[NDArray[np.uint8]] = []
+        self._codes: list[NDArray[np.int8]] = []
         self._numbers: list[FloatArray] = []
         self._count = 0
 
@@ -174,14 +178,14 @@ class _CosineBounds:
         size = max(1, _BLOCK_BYTES // vector.size)
         one, at = _coded(vector), self._count % size
         if at == 0:
-            self._codes.append(np.empty((size, vector.size), np.uint8))
-            self._numbers.append(np.empty((4, size)))
+            self._codes.append(np.empty((size, vector.size), np.int8))
+            self._numbers.append(np.empty((size, 3)))
         self._codes[-1][at] = one.code
-        self._numbers[-1][:, at] = one.scale, 0.5 * one.scale * one.square, one.length, one.error
+        self._numbers[-1][at] = one.scale, one.length, one.error
         self._count += 1
 
     def of(self, vector: Embeddings) -> tuple[FloatArray, FloatArray]:
-        """Return (K,) estimates of the float32 products with all vectors, and their errors at most.
+        """Return (K,) estimates of the float32 cosines with all vectors, and what they are at most.
 
         With x = r + e and r the rounded vector, x . y = r_x . r_y + r_x . e_y + e_x . y; the last
         two are bounded by the lengths of their factors (Cauchy and Schwarz).
@@ -189,27 +193,60 @@ class _CosineBounds:
         one = _coded(vector)
         # Adding D products up in float32, in any order, is wrong by D half units of its precision.
         slack = vector.size * float(np.finfo(np.float32).eps) * (one.length + one.error)
-        weights = np.array([one.error + slack, one.length + one.error + slack])
-        found, start = np.empty((2, self._count)), 0
-        for codes, numbers in zip(self._codes, self._numbers, strict=True):
-            estimates, margins = found[:, start : start + len(codes)]
-            scales, halves = numbers[:2, : estimates.size]
-            # Between whole numbers a distance is exact, on any machine.
-            distances, _ = cv2.batchDistance(
-                codes[: estimates.size], one.code[None], cv2.CV_32S, normType=cv2.NORM_L2SQR, K=1
-            )
-            np.multiply(one.square - distances[:, 0], 0.5 * one.scale * scales, out=estimates)
-            estimates += one.scale * halves
-            np.matmul(weights, numbers[2:, : estimates.size], out=margins)
-            start += len(codes)
-        return found[0], found[1]
+        weights = np.array([one.scale, one.error + slack, one.length + one.error + slack])
+        code = one.code.astype(np.int16)  # or each comparison would widen it anew
+        estimates, highest = np.empty(self._count), np.empty(self._count)
+        threads = max(1, min(os.cpu_count() or 1, len(self._codes) // _BLOCKS_OF_A_THREAD))
+
+        def bound(first: int) -> None:
+            for number in range(first, len(self._codes), threads):
+                codes, numbers = self._codes[number], self._numbers[number]
+                rows = slice(number * len(codes), (number + 1) * len(codes))
+                _write_bounds(codes, numbers, code, weights, estimates[rows], highest[rows])
+
+        if threads == 1:
+            bound(0)
+        else:
+            with ThreadPoolExecutor(threads, thread_name_prefix="places") as pool:
+                list(pool.map(bound, range(threads)))  # raises what stopped one of them
+        return estimates, highest
+
+
+@compiled
+def _write_bounds(
+    codes: NDArray[np.int8],
+    numbers: FloatArray,
+    code: NDArray[np.int16],
+    weights: FloatArray,
+    estimates: FloatArray,
+    highest: FloatArray,
+) -> None:
+    """Write the estimates of K cosines, and what they are at most.
+
+    Args:
+        codes: (K or more, D), of the vectors.
+        numbers: (K or more, 3), their scales, lengths and errors.
+        code: (D,), of the one that they are compared with.
+        weights: (3,), what it makes of those numbers.
+        estimates: (K,), written to.
+        highest: (K,), written to.
+    """
+    scale, per_length, per_error = weights
+    for k in range(len(estimates)):
+        product = 0
+        for i in range(len(code)):
+            product += codes[k, i] * code[i]
+        # In 32 bits, which hold it, more are added up at a time.
+        estimates[k] = scale * numbers[k, 0] * np.int32(product)
+        margin = per_length * numbers[k, 1] + per_error * numbers[k, 2]
+        highest[k] = max(estimates[k] + margin, -1.0)  # where cosines end
 
 
 def _coded(vector: Embeddings) -> _Coded:
     exact = vector.astype(np.float64)
-    # Fewer levels where vectors are so long that a squared distance would leave 32 bits.
-    levels = min(_MOST_LEVELS, math.isqrt(2**29 // vector.size))
+    # Fewer levels where vectors are so long that a product would leave 32 bits.
+    levels = min(_MOST_LEVELS, math.isqrt((2**31 - 1) // vector.size))
     scale = float(np.abs(exact).max()) / levels or 1.0
     whole = np.rint(exact / scale)
     length, error = (float(np.linalg.norm(each)) for each in (scale * whole, exact - scale * whole))
-    return _Coded((whole + levels).astype(np.uint8), scale, float(whole @ whole), length, error)
+    return _Coded(whole.astype(np.int8), scale, length, error)

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import compiled, count_bits, inlined
+from placerec.compiled import compiled, count_bits, inlined
 from slam.geometry.features import words_of
 from slam.types import Camera, Features, FloatArray, IntArray
 

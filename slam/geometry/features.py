@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.compiled import compiled, count_bits, inlined
 from slam.config import PYRAMID_SCALE, FeaturesConfig
-from slam.geometry.compiled import compiled, count_bits, inlined
 from slam.geometry.reprojection import pinhole
 from slam.types import Camera, Features, FloatArray, IntArray
 

@@ -7,7 +7,7 @@ Points and tangents as in `refinement`. A measurement that is unknown, NaN, says
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import inlined
+from placerec.compiled import inlined
 from slam.geometry.reprojection import CAUCHY, HUBER, LIMIT, Intrinsics
 from slam.types import FloatArray
 

@@ -10,7 +10,7 @@ import cmath
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import compiled, inlined
+from placerec.compiled import compiled, inlined
 from slam.types import Camera, FloatArray, IntArray
 
 _FEWEST_POINTS = 4  # three that make the pose, and one that agrees with it

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.compiled import compiled
 from slam.geometry import se3
-from slam.geometry.compiled import compiled
 from slam.geometry.normal_equations import (
     add_as_query,
     add_as_reference,

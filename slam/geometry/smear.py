@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import compiled
+from placerec.compiled import compiled
 from slam.types import Rejection, RejectionReason
 
 # An image this much less sharp than the last so many are is smeared. The least sharp images of

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import compiled, inlined
+from placerec.compiled import compiled, inlined
 from slam.types import FloatArray
 
 # What a step to the next voxel along each axis adds to a voxel's number, which wraps around, and

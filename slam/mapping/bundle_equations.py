@@ -7,7 +7,7 @@ K cameras of which F are free, P points, O observations sorted by their point.
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import compiled, inlined
+from placerec.compiled import compiled, inlined
 from slam.geometry.reprojection import Intrinsics
 from slam.types import FloatArray, IntArray
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from placerec.compiled import compiled
 from slam.config import PYRAMID_SCALE
 from slam.geometry import se3
-from slam.geometry.compiled import compiled
 from slam.geometry.feature_grid import FeatureGrid
 from slam.geometry.features import match_descriptors
 from slam.geometry.reprojection import Observations, pinhole

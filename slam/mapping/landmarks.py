@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry.compiled import compiled
+from placerec.compiled import compiled
 from slam.types import FloatArray, IntArray
 
 UNSEEN = -1

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from placerec.compiled import load_compiled
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import InputConfig
 from slam.datasets import Sequence, open_sequence
 from slam.evaluation.drift import DriftReport
 from slam.geometry import se3
-from slam.geometry.compiled import load_compiled
 from slam.geometry.features import back_project
 from slam.result import SlamResult
 from slam.system import Slam

@@ -23,8 +23,9 @@ import pytest
 from tqdm import tqdm
 
 from placerec import certificate as certificates
-from placerec import drawing, files
+from placerec import files
 from placerec.commands import console
+from placerec.evaluation import drawing
 from placerec.networks import TRUNKS, PlaceNetwork
 from placerec.networks.weights_file import save_weights
 from placerec.recognizers import onnx_file

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from placerec.drawing import COLOURS, SOFT, canvas, line_styles
+from placerec.evaluation.drawing import COLOURS, SOFT, canvas, line_styles
 from placerec.evaluation.precision_recall import Curve
 
 _BAR_HEIGHT_IN, _BARS_FRAME_IN = 0.3, 0.8

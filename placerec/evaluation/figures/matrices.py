@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
-from placerec.drawing import GRID, SOFT, canvas
+from placerec.evaluation.drawing import GRID, SOFT, canvas
 
 _MAX_CELLS = 400
 """A matrix with more rows or columns is thinned out before it is drawn."""

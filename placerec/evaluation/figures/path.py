@@ -6,8 +6,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from placerec.datasets import PlaceDataset
-from placerec.drawing import RIGHT, SOFT, WIDTH_IN, WRONG, canvas
 from placerec.errors import RecognizerError
+from placerec.evaluation.drawing import RIGHT, SOFT, WIDTH_IN, WRONG, canvas
 from placerec.evaluation.precision_recall import BestMatches
 
 

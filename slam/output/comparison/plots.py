@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from matplotlib.axes import Axes
 
-from placerec.drawing import INK, TRUTH, WIDTH_IN, canvas, line_styles, png, svg
 from placerec.errors import printable
+from placerec.evaluation.drawing import INK, TRUTH, WIDTH_IN, canvas, line_styles, png, svg
 from slam.evaluation.comparison import Comparison
 from slam.evaluation.pose_errors import root_mean_square
 from slam.output.comparison.figures import in_brief

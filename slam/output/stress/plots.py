@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from placerec.drawing import AFTER, BEFORE, INK, SOFT, WRONG, canvas, png, svg
+from placerec.evaluation.drawing import AFTER, BEFORE, INK, SOFT, WRONG, canvas, png, svg
 from slam.output.stress.outcome import Outcome
 from slam.output.stress.stressors import STRESSORS
 from slam.output.stress.tolerance import Trials, is_tolerated

@@ -86,13 +86,14 @@ def test_few_are_compared_exactly(monkeypatch):
 
 
 def test_a_vector_of_very_many_values_does_not_overflow():
-    size = 100_000
+    size = 200_000
     row = np.where(np.arange(size) % 2, 1.0, -1.0).astype(np.float32) / np.float32(np.sqrt(size))
+    unlike = np.where(np.arange(size) < size // 2, row, -row)
     index = PlaceIndex()
-    for each in (-row, row, -row):
+    for each in (unlike, row, unlike):
         index.add(each)
     ids, similarities = index.query(row, 1)
-    assert ids.tolist() == [1] and similarities == pytest.approx([1.0])
+    assert ids.tolist() == [1] and similarities == pytest.approx([1.0], abs=1e-5)
     assert index.query(-row, 2)[0].tolist() == [0, 2]
 
 
@@ -102,6 +103,15 @@ def test_a_vector_of_zeros_is_like_nothing():
         index.add(np.float32(each))
     assert index.query(np.float32([1.0, 0.0]), 2)[0].tolist() == [2, 0]
     assert index.query(np.float32([0.0, 0.0]), 2)[0].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_rounding_takes_beyond_one_ties_there(sign):
+    index = PlaceIndex()
+    for length in (1.0005, 1.0, 1.001):
+        index.add(np.float32([sign * length, 0.0]))
+    ids, similarities = index.query(np.float32([1.0, 0.0]), 2)
+    assert ids.tolist() == [0, 1] and similarities.tolist() == [sign, sign]
 
 
 @pytest.mark.parametrize("size", [3, 128, 496, 960])

@@ -7,13 +7,13 @@ import sys
 import numpy as np
 import pytest
 
-from slam.geometry import compiled
-from slam.geometry.compiled import count_bits
+from placerec import compiled
+from placerec.compiled import count_bits
 
 LOOPS = """
 import others
 from others import OFFSET, scaled
-from slam.geometry.compiled import compiled
+from placerec.compiled import compiled
 
 @compiled
 def added(numbers):
@@ -23,7 +23,7 @@ def added(numbers):
     return total
 """
 OTHERS = """
-from slam.geometry.compiled import inlined
+from placerec.compiled import inlined
 
 FACTOR, WEIGHT, OFFSET = 1.0, 1.0, 0.0
 
@@ -33,7 +33,7 @@ def scaled(number):
 """
 RUN = """
 import numpy as np, loops
-from slam.geometry.compiled import load_compiled, telling_of_compiling
+from placerec.compiled import load_compiled, telling_of_compiling
 
 with telling_of_compiling(lambda: print("compiling")):
     load_compiled()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inner loops over points and features, which numba compiles when they are first called.
+"""Inner loops over points, features and places, which numba compiles when they are first called.
 
 The machine code is kept beside the source, or in the user's cache folder where that is read-only,
 and found there by every later run. It is made anew, in place of what was, where a loop changes, or

@@ -6,7 +6,7 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 
-from placerec.drawing import COLOURS, canvas, line_styles
+from placerec.evaluation.drawing import COLOURS, canvas, line_styles
 from placerec.evaluation.figures import png, svg
 
 
