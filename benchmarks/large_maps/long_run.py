@@ -53,6 +53,7 @@ WALK = round(FRAMES_PER_S * 10.0)  # and from one room to the next
 DOOR_M, CLEAR_M = 1.2, 1.0  # its width, and how far from the wall nothing stands before it
 EARLY = slice(500, 1500)  # around frame 1,000
 LATE = slice(-1000, None)
+BEGUN = 500  # frames before the last ones, where a run that takes these early begins
 MB = 1024.0**2
 
 
@@ -211,7 +212,9 @@ class Run:
 
     Attributes:
         frame_s: (N,) from giving a frame to knowing where it was taken.
-        cpu_s: (N,) what all threads worked meanwhile; other programs do not change it.
+        cpu_s: (N,) what all threads worked meanwhile; other programs change it less.
+        anew_s: (A,) what the last frames take in a run that begins shortly before them, right after
+            this one: other rooms and a machine that is busier are no growth.
         memory_mb: (N,) in use after the frame, since before the first.
         keyframes: (N,) so far.
         query_s: (Q,) of comparing an image with the places so far, of which it has one or two.
@@ -222,6 +225,7 @@ class Run:
 
     frame_s: FloatArray
     cpu_s: FloatArray
+    anew_s: FloatArray
     memory_mb: FloatArray
     keyframes: NDArray[np.int64]
     query_s: FloatArray
@@ -241,6 +245,11 @@ class Run:
     def growth(self, per_frame: FloatArray, of: Callable[[FloatArray], float]) -> float:
         """Return how many times more the last frames take than those around frame 1,000."""
         return float(of(per_frame[LATE]) / of(per_frame[EARLY]))
+
+    @property
+    def growth_by_length(self) -> float:
+        """How many times longer the last frames take than where a run has only just begun."""
+        return float(np.median(self.frame_s[LATE]) / np.median(self.anew_s))
 
 
 def measure(frames: int, recognizer: str, width: int = 320, laps: int = 0) -> Run:
@@ -268,10 +277,12 @@ def measure(frames: int, recognizer: str, width: int = 320, laps: int = 0) -> Ru
     finish_s = time.perf_counter() - start_s
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0 / MB
     drift = compare_drift(result, film.truth(frames), Config().evaluation)
+    anew_s = taken_early(film, frames, recognizer)
     kept = [loop.is_false for loop in drift.loops if loop.is_false is not None]
     return Run(
         frame_s,
         cpu_s,
+        anew_s,
         memory_mb,
         np.cumsum(keyframes),
         np.array(TimedIndex.seconds),
@@ -282,6 +293,17 @@ def measure(frames: int, recognizer: str, width: int = 320, laps: int = 0) -> Ru
         false_loops=sum(kept),
         ate_m=(drift.odometry.ate_rmse_m, drift.corrected.ate_rmse_m),
     )
+
+
+def taken_early(film: Film, frames: int, recognizer: str) -> FloatArray:
+    """Return (A,) what the last of so many frames take in a run that has only just begun."""
+    slam, seconds = Slam(film.camera, load(recognizer)), []
+    for i in range(max(frames + LATE.start - BEGUN, 0), frames):
+        frame = film.frame(i)
+        start_s = time.perf_counter()
+        slam.process(frame)
+        seconds.append(time.perf_counter() - start_s)
+    return np.array(seconds[LATE])
 
 
 def memory_in_use_mb() -> float:
@@ -302,6 +324,8 @@ def table(runs: list[Run]) -> str:
         ("ms per frame around frame 1,000", lambda run: ms(run.frame_s[EARLY])),
         ("ms per frame at the end", lambda run: ms(run.frame_s[LATE])),
         ("their ratio", lambda run: f"{run.growth(run.frame_s, np.median):.2f}"),
+        ("ms for the same frames early in a run", lambda run: ms(run.anew_s)),
+        ("their ratio to these", lambda run: f"{run.growth_by_length:.2f}"),
         ("the ratio of the means", lambda run: f"{run.growth(run.frame_s, np.mean):.2f}"),
         ("and of the work of all threads", lambda run: f"{run.growth(run.cpu_s, np.mean):.2f}"),
         ("longest frame, ms", lambda run: f"{1e3 * run.frame_s.max():.0f}"),
@@ -350,6 +374,7 @@ def as_json(runs: list[Run], **settings: Any) -> str:
             "ate_odometry_m": run.ate_m[0],
             "ate_m": run.ate_m[1],
             "ratio to frame 1,000": run.growth(run.frame_s, np.median),
+            "ratio to the same frames early in a run": run.growth_by_length,
             "kB per keyframe, second half": run.kb_per_keyframe,
             **{name: cost(run) for name, cost in COSTS.items()},
         }

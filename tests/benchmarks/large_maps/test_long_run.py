@@ -23,6 +23,7 @@ def run(benchmark):
         return benchmark.Run(
             frame_s=frame_s,
             cpu_s=2.0 * frame_s,
+            anew_s=np.full(1000, 0.008),
             memory_mb=0.1 * np.arange(frames),
             keyframes=np.arange(frames) // 10 + 1,
             query_s=np.full(frames // 10, 5e-4),
@@ -66,6 +67,8 @@ def test_the_table_has_a_column_per_run(benchmark, run):
     assert found["keyframes"] == ["300", "600"]
     assert found["ms per frame around frame 1,000"] == ["10.00", "10.00"]
     assert found["their ratio"] == ["1.00", "2.00"]
+    assert found["ms for the same frames early in a run"] == ["8.00", "8.00"]
+    assert found["their ratio to these"] == ["1.25", "2.50"]
     assert found["longest frame, ms"] == ["250", "250"]
     assert found["kB per keyframe, second half"] == ["1024", "1024"]
     assert found["ms per loop query at the end"] == ["0.50", "0.50"]
@@ -88,6 +91,7 @@ def test_exponents_are_of_the_number_of_frames(benchmark, run):
     assert read["width"] == 320 and read["exponents"] == found
     assert [each["frames"] for each in read["runs"]] == [3000, 6000]
     assert read["runs"][1]["ratio to frame 1,000"] == pytest.approx(2.0)
+    assert read["runs"][1]["ratio to the same frames early in a run"] == pytest.approx(2.5)
     assert json.loads(benchmark.as_json(runs[:1]))["exponents"] == {}
 
 
