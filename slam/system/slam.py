@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +28,8 @@ from slam.loops.stage_clock import StageClock
 from slam.mapping.landmark_map import LandmarkMap
 from slam.mapping.map_adjustment import size_warning
 from slam.result import Calibration, SlamResult, compared
-from slam.tracking.frame_log import FrameLog, LoggedFrames, check_frame
+from slam.tracking.frame_checks import check_frame
+from slam.tracking.frame_log import FrameLog, LoggedFrames
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
@@ -77,15 +77,12 @@ class Slam:
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
         self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize, scratch)
         self._external = ExternalOdometry(self._config.odometry)
-        self._frames = FrameLog(len(earlier.keyframes) - 1 if earlier else -1)
+        self._frames = FrameLog(earlier.frames.tolist() if earlier else ())
         self.earlier = earlier
         self._is_fixed = is_fixed
         if earlier is not None:
             self._back_end.load(earlier)
             self._odometry.load(earlier.keyframes, earlier.the_map, is_fixed)
-        self._last_s = -np.inf  # of the last frame
-        self._is_new_session = False
-        self._session_starts_s: list[float] = []
         self._final: LandmarkMap | None = None  # as adjusted in the end
         # Where another odometry's frame is in that of tracking, by the last frame that had a pose;
         # and the map, which lies where it had the first one.
@@ -158,7 +155,7 @@ class Slam:
 
         Loops tell how the sessions lie to each other. The camera stays the same, and time goes on.
         """
-        self._is_new_session = self._last_s > -np.inf
+        self._frames.start_session()
         self._odometry.start_session()
         self._external.start_session()
 
@@ -183,17 +180,14 @@ class Slam:
         covariance: FloatArray | None,
         is_keyframe: bool,
     ) -> TrackedFrame | Rejection:
-        check_frame(frame, self._camera, self._last_s)
+        check_frame(frame, self._camera, self._frames.last_s)
         if T_odom_cam is not None:
             self._refuse_poses()
         if T_odom_cam is None:
             T_given_cam = self._external.at(frame.timestamp_s)
         else:
             T_given_cam = self._external.add(frame.timestamp_s, T_odom_cam, covariance)
-        self._last_s = frame.timestamp_s
-        if self._is_new_session:
-            self._session_starts_s.append(frame.timestamp_s)
-            self._is_new_session = False
+        self._frames.expect(frame.timestamp_s)
         with self.clock.stage("track"):
             tracked = self._track(frame, T_given_cam, is_keyframe)
         if isinstance(tracked, Rejection):
@@ -355,7 +349,9 @@ class Slam:
         )
         smooth = salvage.attempt("smoothing", lambda: self._smoothed(trajectory), trajectory)
         leaps = salvage.attempt(
-            "the look for leaps", lambda: impossible_steps(trajectory, self._session_starts_s), ()
+            "the look for leaps",
+            lambda: impossible_steps(trajectory, self._frames.session_starts_s),
+            (),
         )
         threshold = self._back_end.loop_closer.threshold()
         return SlamResult(
@@ -387,7 +383,7 @@ class Slam:
             ),
             calibration=calibration,
             unjoined_s=self._frames.unjoined_s(T_world_kf),
-            session_starts_s=np.array(self._session_starts_s),
+            session_starts_s=np.array(self._frames.session_starts_s),
             elapsed_s=self.clock.elapsed_s,
             unsmoothed=trajectory if self._is_smoothed else None,
             given=result_of_given,
@@ -401,12 +397,7 @@ class Slam:
     ) -> ClosedLoops:
         if self._is_fixed:  # as it was saved
             return self._back_end.unsolved(T_odom_kf)
-        return self._back_end.solve(T_odom_kf, self._per_keyframe(), given)
-
-    def _per_keyframe(self) -> Counter[int]:
-        """Return how many frames were placed against each keyframe id, of an earlier map, too."""
-        earlier = self.earlier.frames.tolist() if self.earlier else []
-        return Counter(dict(enumerate(earlier))) + self._frames.per_keyframe()
+        return self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
 
     def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
         """Return where tracking has keyframes in the end, (4, 4) by id."""
@@ -441,14 +432,14 @@ class Slam:
             return self.earlier
         earlier = self.earlier.sessions if self.earlier else np.zeros(0, np.int64)
         stamps_s = [each.timestamp_s for each in result.keyframes[len(earlier) :]]
-        later = np.searchsorted(self._session_starts_s, stamps_s, side="right")
+        later = np.searchsorted(self._frames.session_starts_s, stamps_s, side="right")
         later += 1 + earlier.max(initial=-1)
         return self._back_end.saved(
             result.T_world_kf,
             result.attempts,
             result.links,
             np.concatenate([earlier, later]),
-            self._per_keyframe(),
+            self._frames.per_keyframe(),
             self._final or self._map,
         )
 
@@ -510,7 +501,7 @@ class Slam:
     def _smoothed(self, trajectory: Trajectory) -> Trajectory:
         if not self._is_smoothed:
             return trajectory
-        return smoothed(trajectory, [*self._session_starts_s, *self._frames.breaks_s()])
+        return smoothed(trajectory, [*self._frames.session_starts_s, *self._frames.breaks_s()])
 
 
 def _in_one_frame(frames: LoggedFrames, T_any_odom: Mapping[int, FloatArray]) -> FloatArray:
