@@ -33,15 +33,20 @@ from slam.tracking.frame_log import FrameLog, LoggedFrames
 from slam.tracking.odometry import RgbdOdometry
 from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
+from slam.tracking.tracker import Tracker
 from slam.types import (
     Camera,
     FloatArray,
     Frame,
-    Keyframe,
     LoopAttempt,
     Rejection,
     SlamError,
     Trajectory,
+)
+
+NOT_ADJUSTED = (
+    "this was made of what a run had left, without images and features: the pose graph is solved,"
+    " but the map is not adjusted to it, and there are no pictures and no point cloud"
 )
 
 
@@ -75,14 +80,15 @@ class Slam:
         self._config = config or Config()
         self.clock = StageClock()
         self._back_end = BackEnd(camera, recognizer, self._config, self.clock)
-        self._odometry = RgbdOdometry(camera, self._config, self._back_end.recognize, scratch)
+        odometry = RgbdOdometry(camera, self._config, self._back_end.recognize, scratch)
+        self._tracker: Tracker = odometry
         self._external = ExternalOdometry(self._config.odometry)
         self._frames = FrameLog(earlier.frames.tolist() if earlier else ())
         self.earlier = earlier
         self._is_fixed = is_fixed
         if earlier is not None:
             self._back_end.load(earlier)
-            self._odometry.load(earlier.keyframes, earlier.the_map, is_fixed)
+            odometry.load(earlier.keyframes, earlier.the_map, is_fixed)
         self._final: LandmarkMap | None = None  # as adjusted in the end
         # Where another odometry's frame is in that of tracking, by the last frame that had a pose;
         # and the map, which lies where it had the first one.
@@ -156,7 +162,7 @@ class Slam:
         Loops tell how the sessions lie to each other. The camera stays the same, and time goes on.
         """
         self._frames.start_session()
-        self._odometry.start_session()
+        self._tracker.start_session()
         self._external.start_session()
 
     def add_keyframe(self, frame: Frame, T_odom_cam: FloatArray) -> tuple[LoopAttempt, ...]:
@@ -189,7 +195,7 @@ class Slam:
             T_given_cam = self._external.add(frame.timestamp_s, T_odom_cam, covariance)
         self._frames.expect(frame.timestamp_s)
         with self.clock.stage("track"):
-            tracked = self._track(frame, T_given_cam, is_keyframe)
+            tracked = self._tracker.track(frame, T_given_cam, is_keyframe)
         if isinstance(tracked, Rejection):
             self._frames.lose(frame.timestamp_s)
             return tracked
@@ -203,11 +209,6 @@ class Slam:
             if self._T_map_world is None and T_world_odom is not None:
                 self._T_map_world = se3.inverse(T_world_odom @ self._T_odom_given)
         return tracked
-
-    def _track(
-        self, frame: Frame, T_given_cam: FloatArray | None, is_keyframe: bool
-    ) -> TrackedFrame | Rejection:
-        return self._odometry.track(frame, T_given_cam, is_keyframe)
 
     @property
     def correction(self) -> Correction:
@@ -294,8 +295,8 @@ class Slam:
                 "no frame could be tracked: none shows enough texture with depth; check the depth"
                 " scale and the images, or lower --odometry.min-inliers"
             )
-        salvage.attempt("the last keyframe's adjustment", self._odometry.settle, None)
-        T_odom_kf = self._tracked(keyframes)
+        salvage.attempt("the last keyframe's adjustment", self._tracker.settle, None)
+        T_odom_kf = self.T_odom_kf
         stamps_s = np.array([each.timestamp_s for each in keyframes])
         given = None
         if self._external:
@@ -399,14 +400,10 @@ class Slam:
             return self._back_end.unsolved(T_odom_kf)
         return self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
 
-    def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
-        """Return where tracking has keyframes in the end, (4, 4) by id."""
-        return {k.id: self._map.keyframes[k.id].T_map_cam for k in keyframes}
-
     @property
     def T_odom_kf(self) -> dict[int, FloatArray]:
         """Where tracking, which knows of no loop, put keyframes in the end: (4, 4) by id."""
-        return self._tracked(self._back_end.keyframes)
+        return self._tracker.T_odom_kf(each.id for each in self._back_end.keyframes)
 
     @property
     def certificate(self) -> Certificate | None:
@@ -414,13 +411,10 @@ class Slam:
         return self._back_end.loop_closer.certificate
 
     @property
-    def _map(self) -> LandmarkMap:
-        return self._odometry.map
-
-    @property
     def remembered(self) -> Remembered | None:
         """What deciding about loops again takes, once the run is finished; None of too many."""
-        return self._back_end.loop_closer.remembered(self._map)
+        the_map = self._tracker.map
+        return self._back_end.loop_closer.remembered(the_map) if the_map else None
 
     def saved(self, result: SlamResult) -> SavedMap:
         """Return the map of a finished run for later ones: the keyframes that have a place.
@@ -430,6 +424,8 @@ class Slam:
         """
         if self.earlier and self._is_fixed:
             return self.earlier
+        the_map = self._final or self._tracker.map
+        assert the_map is not None  # or it is a run without images, of which none is saved
         earlier = self.earlier.sessions if self.earlier else np.zeros(0, np.int64)
         stamps_s = [each.timestamp_s for each in result.keyframes[len(earlier) :]]
         later = np.searchsorted(self._frames.session_starts_s, stamps_s, side="right")
@@ -440,7 +436,7 @@ class Slam:
             result.links,
             np.concatenate([earlier, later]),
             self._frames.per_keyframe(),
-            self._final or self._map,
+            the_map,
         )
 
     def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
@@ -453,8 +449,10 @@ class Slam:
             return loops.T_world_kf, loops.T_world_kf_without, ()
         if warnings := size_warning(len(loops.T_world_kf)):
             return loops.T_world_kf, loops.T_world_kf_without, warnings
+        if self._tracker.map is None:
+            return loops.T_world_kf, loops.T_world_kf_without, (NOT_ADJUSTED,)
         with self.clock.stage("adjust"):
-            *T_kf, self._final = adjusted(self._map, loops)
+            *T_kf, self._final = adjusted(self._tracker.map, loops)
             return T_kf[0], T_kf[1], ()
 
     def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
