@@ -1,53 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline in one screen: track, describe, retrieve, verify, constrain, correct."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from placerec.certificate import Certificate
 from placerec.compiled import load_compiled
-from placerec.errors import Salvage, cause_of
 from placerec.recognizer import PlaceRecognizer
 from slam.config import Config
-from slam.evaluation.steps import impossible_steps
-from slam.external_odometry.comparison import GivenKeyframe
 from slam.external_odometry.odometry import ExternalOdometry
-from slam.external_odometry.trust import Verdict
 from slam.geometry import se3
-from slam.loops.atlas import odometry_frames
-from slam.loops.back_end import BackEnd, ClosedLoops
+from slam.loops.back_end import BackEnd
 from slam.loops.correction import Correction
-from slam.loops.final_adjustment import adjusted
 from slam.loops.remembered import Remembered
 from slam.loops.saved_map import SavedMap
 from slam.loops.stage_clock import StageClock
 from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.map_adjustment import size_warning
-from slam.result import Calibration, SlamResult, compared
+from slam.result import SlamResult
+from slam.system.finishing import Finishing
 from slam.tracking.frame_checks import check_frame
-from slam.tracking.frame_log import FrameLog, LoggedFrames
+from slam.tracking.frame_log import FrameLog
 from slam.tracking.odometry import RgbdOdometry
-from slam.tracking.smoothing import smoothed
 from slam.tracking.tracked_frame import TrackedFrame
 from slam.tracking.tracker import Tracker
-from slam.types import (
-    Camera,
-    FloatArray,
-    Frame,
-    LoopAttempt,
-    Rejection,
-    SlamError,
-    Trajectory,
-)
-
-NOT_ADJUSTED = (
-    "this was made of what a run had left, without images and features: the pose graph is solved,"
-    " but the map is not adjusted to it, and there are no pictures and no point cloud"
-)
+from slam.types import Camera, FloatArray, Frame, LoopAttempt, Rejection, SlamError
 
 
 class Slam:
@@ -89,7 +67,7 @@ class Slam:
         if earlier is not None:
             self._back_end.load(earlier)
             odometry.load(earlier.keyframes, earlier.the_map, is_fixed)
-        self._final: LandmarkMap | None = None  # as adjusted in the end
+        self._adjusted_map: LandmarkMap | None = None  # in the end
         # Where another odometry's frame is in that of tracking, by the last frame that had a pose;
         # and the map, which lies where it had the first one.
         self._T_odom_given: FloatArray | None = None
@@ -108,11 +86,8 @@ class Slam:
     @property
     def has_keyframes(self) -> bool:
         """Whether there is anything to finish."""
-        return not self._back_end.is_empty and (self.earlier is None or self._is_anything_placed)
-
-    @property
-    def _is_anything_placed(self) -> bool:
-        return self._frames.segment is not None
+        is_placed = self.earlier is None or self._frames.segment is not None
+        return is_placed and not self._back_end.is_empty
 
     def process(
         self,
@@ -187,11 +162,10 @@ class Slam:
         is_keyframe: bool,
     ) -> TrackedFrame | Rejection:
         check_frame(frame, self._camera, self._frames.last_s)
-        if T_odom_cam is not None:
-            self._refuse_poses()
         if T_odom_cam is None:
             T_given_cam = self._external.at(frame.timestamp_s)
         else:
+            self._refuse_poses()
             T_given_cam = self._external.add(frame.timestamp_s, T_odom_cam, covariance)
         self._frames.expect(frame.timestamp_s)
         with self.clock.stage("track"):
@@ -276,129 +250,19 @@ class Slam:
             SlamError: no frame could be tracked.
             RecognizerError: the recognizer failed on the first keyframe.
         """
-        salvage = Salvage()
-        left_out: tuple[str, ...] = ()
-        try:
-            self._back_end.settle()
-        except Exception as error:
-            if not self._back_end.keyframes:
-                raise
-            first = len(self._back_end.keyframes)
-            left_out = (f"all from keyframe {first} on is left out: {cause_of(error)}",)
-        keyframes = tuple(self._back_end.keyframes)
-        if self.earlier and not self._is_anything_placed:
-            raise SlamError(
-                "no frame could be placed: none shows enough of the map, or of anything else"
-            )
-        if not keyframes:
-            raise SlamError(
-                "no frame could be tracked: none shows enough texture with depth; check the depth"
-                " scale and the images, or lower --odometry.min-inliers"
-            )
-        salvage.attempt("the last keyframe's adjustment", self._tracker.settle, None)
-        T_odom_kf = self.T_odom_kf
-        stamps_s = np.array([each.timestamp_s for each in keyframes])
-        given = None
-        if self._external:
-            given = salvage.attempt(
-                "what the given poses say", lambda: self._read_external(T_odom_kf, stamps_s), {}
-            )
-        loops = salvage.attempt(
-            "the solved pose graph",
-            lambda: self._solved(T_odom_kf, given),
-            None,
-        ) or self._back_end.unsolved(T_odom_kf)
-        keyframes = tuple(  # where tracking, which knows of no loop, put them in the end
-            replace(each, T_odom_cam=T_odom_kf[each.id]) for each in keyframes
-        )
-        T_odom_segment = odometry_frames(keyframes, loops.links)
-        T_world_kf, T_world_kf_without, unadjusted = salvage.attempt(
-            "the map's adjustment",
-            lambda: self._adjusted(loops),
-            (loops.T_world_kf, loops.T_world_kf_without, ()),
-        )
-        frames = self._frames
-        if loops.trust and loops.trust.verdict is Verdict.BORNE_OUT:
-            frames = frames.along(self._external.camera_poses, stamps_s, loops.trust.doubted)
-        trajectory = frames.trajectory(T_world_kf)
-        if self.earlier and not len(trajectory):
-            raise SlamError(
-                "no frame could be placed in the map: no loops at two places agree where what was"
-                " tracked belongs"
-            )
-        odometry = self._frames.live(
-            T_world_kf, lambda frames: _in_one_frame(frames, T_odom_segment)
-        )
-        result_of_given = None
-        if self._external:
-            odometry = self._external.before(odometry)
-            result_of_given = salvage.attempt(
-                "the given odometry, corrected,",
-                lambda: self._external.corrected(trajectory, loops.trust, loops.steps),
-                None,
-            )
-        size = len(compared(len(keyframes)))
-        similarities, calibration = salvage.attempt(
-            "how alike the keyframes are",
-            self._similarities,
-            (np.full((size, size), np.nan, np.float32), None),
-        )
-        live = salvage.attempt(
-            "the live trajectory",
-            lambda: self._live(T_world_kf),
-            Trajectory(np.zeros(0), np.zeros((0, 4, 4))),
-        )
-        smooth = salvage.attempt("smoothing", lambda: self._smoothed(trajectory), trajectory)
-        leaps = salvage.attempt(
-            "the look for leaps",
-            lambda: impossible_steps(trajectory, self._frames.session_starts_s),
-            (),
-        )
-        threshold = self._back_end.loop_closer.threshold()
-        return SlamResult(
+        finishing = Finishing(
             camera=self._camera,
-            keyframes=tuple(
-                replace(each, T_odom_cam=T_odom_segment[each.segment] @ each.T_odom_cam)
-                for each in keyframes
-            ),
-            T_world_kf=T_world_kf,
-            odometry=odometry,
-            live=live,
-            without_loops=frames.trajectory(T_world_kf_without),
-            trajectory=smooth,
-            links=loops.links,
-            attempts=loops.attempts,
-            similarities=similarities,
-            min_similarity=self.min_similarity,
-            untracked_s=self._frames.untracked_s(T_world_kf),
-            stage_seconds=dict(self.clock.seconds),
-            warnings=(
-                *left_out,
-                *(result_of_given.warnings if result_of_given else ()),
-                *self._frames.warnings(T_world_kf),
-                *unadjusted,
-                *loops.warnings,
-                *(threshold.warnings if threshold else ()),
-                *leaps,
-                *(calibration.warnings if calibration else ()),
-            ),
-            calibration=calibration,
-            unjoined_s=self._frames.unjoined_s(T_world_kf),
-            session_starts_s=np.array(self._frames.session_starts_s),
-            elapsed_s=self.clock.elapsed_s,
-            unsmoothed=trajectory if self._is_smoothed else None,
-            given=result_of_given,
-            missing=salvage.sentences,
-            threshold=threshold,
-            earlier=len(self.earlier.keyframes) if self.earlier else 0,
+            tracker=self._tracker,
+            frames=self._frames,
+            back_end=self._back_end,
+            external=self._external,
+            earlier=self.earlier,
+            is_fixed=self._is_fixed,
+            smooths=self._config.motion.smooth,
+            clock=self.clock,
         )
-
-    def _solved(
-        self, T_odom_kf: Mapping[int, FloatArray], given: Mapping[int, GivenKeyframe] | None
-    ) -> ClosedLoops:
-        if self._is_fixed:  # as it was saved
-            return self._back_end.unsolved(T_odom_kf)
-        return self._back_end.solve(T_odom_kf, self._frames.per_keyframe(), given)
+        result, self._adjusted_map = finishing.finish()
+        return result
 
     @property
     def T_odom_kf(self) -> dict[int, FloatArray]:
@@ -424,7 +288,7 @@ class Slam:
         """
         if self.earlier and self._is_fixed:
             return self.earlier
-        the_map = self._final or self._tracker.map
+        the_map = self._adjusted_map or self._tracker.map
         assert the_map is not None  # or it is a run without images, of which none is saved
         earlier = self.earlier.sessions if self.earlier else np.zeros(0, np.int64)
         stamps_s = [each.timestamp_s for each in result.keyframes[len(earlier) :]]
@@ -438,74 +302,3 @@ class Slam:
             self._frames.per_keyframe(),
             the_map,
         )
-
-    def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
-        """Return the (K, 4, 4) poses by the adjusted map, with loops and without, and warnings.
-
-        Where the map is too large, which is told, they are those of the pose graph.
-        """
-        self._final = None
-        if self._is_fixed:
-            return loops.T_world_kf, loops.T_world_kf_without, ()
-        if warnings := size_warning(len(loops.T_world_kf)):
-            return loops.T_world_kf, loops.T_world_kf_without, warnings
-        if self._tracker.map is None:
-            return loops.T_world_kf, loops.T_world_kf_without, (NOT_ADJUSTED,)
-        with self.clock.stage("adjust"):
-            *T_kf, self._final = adjusted(self._tracker.map, loops)
-            return T_kf[0], T_kf[1], ()
-
-    def _similarities(self) -> tuple[NDArray[np.float32], Calibration | None]:
-        closer = self._back_end.loop_closer
-        similarities = closer.similarities()
-        return similarities, closer.calibration(similarities)
-
-    def _read_external(
-        self, T_odom_kf: dict[int, FloatArray], stamps_s: FloatArray
-    ) -> dict[int, GivenKeyframe]:
-        """Compare another odometry with the images; return where it has keyframes, by id."""
-        with self.clock.stage("compare odometry"):
-            T_images_kf = self._back_end.solve_images(T_odom_kf)
-            tracked = self._frames.tracked(np.array([T_images_kf[k] for k in sorted(T_odom_kf)]))
-            return self._external.read(tracked, stamps_s)
-
-    def _live(self, T_world_kf: FloatArray) -> Trajectory:
-        """Return where the placed frames were thought to be, in the world, when they came."""
-        corrections = self._back_end.corrections
-        T_given_cam = self._external.poses_as_asked(self._frames.placed_s)
-
-        newest_ids = np.array([each.newest_id for each in corrections])
-
-        def T_world_cam(frames: LoggedFrames) -> FloatArray:
-            T = np.full((len(frames.timestamps_s), 4, 4), np.nan)
-            known = np.searchsorted(newest_ids, frames.newest_id, side="right") - 1
-            for number in np.unique(known):
-                correction, some = corrections[number], known == number
-                T[some] = _in_one_frame(frames.select(some), correction.T_world_odom)
-                if T_given_cam and correction.T_world_given is not None:
-                    for n in np.flatnonzero(some):
-                        T_odom_cam = T_given_cam.get(float(frames.timestamps_s[n]))
-                        if T_odom_cam is not None:
-                            T[n] = correction.T_world_given @ T_odom_cam
-            return T
-
-        return self._frames.live(T_world_kf, T_world_cam)
-
-    @property
-    def _is_smoothed(self) -> bool:
-        # An odometry from elsewhere knows best how its camera moves.
-        return self._config.motion.smooth and not self._external
-
-    def _smoothed(self, trajectory: Trajectory) -> Trajectory:
-        if not self._is_smoothed:
-            return trajectory
-        return smoothed(trajectory, [*self._frames.session_starts_s, *self._frames.breaks_s()])
-
-
-def _in_one_frame(frames: LoggedFrames, T_any_odom: Mapping[int, FloatArray]) -> FloatArray:
-    """Return the (N, 4, 4) poses of frames as tracked, NaN for segments that are not known."""
-    T = np.full((len(frames.timestamps_s), 4, 4), np.nan)
-    for segment, T_any_segment in T_any_odom.items():
-        some = frames.segment == segment
-        T[some] = T_any_segment @ frames.T_odom_cam[some]
-    return T

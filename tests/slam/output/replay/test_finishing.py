@@ -7,7 +7,7 @@ from slam.config import Config
 from slam.output.journal import Header, JournalWriter, read_journal
 from slam.output.replay.finishing import replayed
 from slam.system import Slam
-from slam.system.slam import NOT_ADJUSTED
+from slam.system.finishing import NOT_ADJUSTED
 
 
 def journal_of(slam, camera, frames, folder, poses=None, sessions=()):
