@@ -13,30 +13,7 @@ from numpy.typing import NDArray
 from slam.external_odometry.given_poses import poses_between
 from slam.geometry import se3
 from slam.tracking.tracked_frame import TrackedFrame
-from slam.types import Camera, FloatArray, Frame, IntArray, SlamError, Trajectory
-
-
-def check_frame(frame: Frame, camera: Camera, last_s: float) -> None:
-    """Refuse a frame that cannot follow on one taken at last_s by this camera.
-
-    Raises:
-        SlamError: the frame is not of the camera's size, or the time does not increase.
-    """
-    if not last_s < frame.timestamp_s < np.inf:
-        raise SlamError(
-            f"frames must come in the order of time: {frame.timestamp_s:.6f} s after {last_s:.6f} s"
-        )
-    wanted = (camera.height, camera.width)
-    if frame.rgb.dtype != np.uint8:
-        raise SlamError(
-            f"the frame at {frame.timestamp_s:.6f} s has {frame.rgb.dtype} colours, not uint8"
-        )
-    if frame.rgb.shape != (*wanted, 3) or frame.depth_m.shape != wanted:
-        raise SlamError(
-            f"the frame at {frame.timestamp_s:.6f} s has colour {frame.rgb.shape} and depth"
-            f" {frame.depth_m.shape}, but the camera makes {(*wanted, 3)} and {wanted}"
-        )
-
+from slam.types import FloatArray, IntArray, Trajectory
 
 # Where for so many frames only features in so little of the image agree, those in the rest of it
 # may be the ones that stand still.
@@ -76,17 +53,36 @@ class FrameLog:
     """Every frame of a run: placed against a keyframe, or lost.
 
     What is known of a frame is kept in columns of plain numbers, some 300 bytes in all.
+
+    Attributes:
+        last_s: when the last frame came, whatever became of it; -inf before there is one.
+        session_starts_s: when the first frame of each session after the first came.
     """
 
-    def __init__(self, newest_id: int = -1) -> None:
-        """Begin, with an earlier map up to its newest keyframe if there is one."""
-        self._newest_before = newest_id
+    def __init__(self, before: Sequence[int] = ()) -> None:
+        """Begin; of an earlier map is told how many frames were placed against each keyframe."""
+        self.last_s = -np.inf
+        self.session_starts_s: list[float] = []
+        self._is_new_session = False
+        self._before = Counter(dict(enumerate(before)))
+        self._newest_before = len(before) - 1
         self._timestamps_s, self._covered = array("d"), array("d")
         self._keyframe_ids, self._segments, self._newest_ids = array("q"), array("q"), array("q")
         self._T_kf_cam, self._T_odom_cam = array("d"), array("d")
         # (4, 4) motions of a new keyframe, by its id and that of the other one.
         self._T_ref_kf: dict[tuple[int, int], FloatArray] = {}
         self._lost_s: list[float] = []
+
+    def start_session(self) -> None:
+        """Take the next frame for the first of another recording."""
+        self._is_new_session = self.last_s > -np.inf
+
+    def expect(self, timestamp_s: float) -> None:
+        """Note that a frame came, of which is not known yet whether it can be placed."""
+        self.last_s = timestamp_s
+        if self._is_new_session:
+            self.session_starts_s.append(timestamp_s)
+            self._is_new_session = False
 
     def add(self, timestamp_s: float, tracked: TrackedFrame) -> None:
         """Remember a frame by its place in a keyframe's camera frame, and by where it was then."""
@@ -113,8 +109,8 @@ class FrameLog:
         self._lost_s.append(timestamp_s)
 
     def per_keyframe(self) -> Counter[int]:
-        """Return how many frames were placed against each keyframe id."""
-        return Counter(self._keyframe_ids)
+        """Return how many frames were placed against each keyframe id, of an earlier map, too."""
+        return self._before + Counter(self._keyframe_ids)
 
     @property
     def placed(self) -> LoggedFrames:

@@ -2,7 +2,7 @@
 """RGB-D odometry: every frame is placed among the landmarks of a local map."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -88,6 +88,10 @@ class RgbdOdometry:
     def map(self) -> LandmarkMap:
         """All keyframes and landmarks so far, each segment in an odometry's frame of its own."""
         return self._local_map.whole
+
+    def T_odom_kf(self, keyframe_ids: Iterable[int]) -> dict[int, FloatArray]:
+        """Return where keyframes are by now, (4, 4) by id, each in its segment's odometry frame."""
+        return {k: self.map.keyframes[k].T_map_cam for k in keyframe_ids}
 
     def start_session(self) -> None:
         """Forget where the camera was: it may be anywhere when the next frame comes."""

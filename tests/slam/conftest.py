@@ -36,7 +36,7 @@ def loops_loaded_once() -> Iterator[None]:
     where everything is loaded that tests need.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("slam.system.load_compiled", cache(load_compiled))
+        patch.setattr("slam.system.slam.load_compiled", cache(load_compiled))
         yield
 
 

@@ -6,7 +6,7 @@ did not try are looked for.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +18,8 @@ from placerec.files import Progress
 from slam.config import Config
 from slam.datasets.pose_files import PoseFile, read_odometry
 from slam.external_odometry.pose_feed import PoseFeed
-from slam.loops.back_end import ClosedLoops
 from slam.loops.loop_closure import LoopCloser
 from slam.loops.remembered import Remembered, proposed_pairs
-from slam.mapping.landmark_map import LandmarkMap
-from slam.mapping.map_adjustment import size_warning
 from slam.output.journal import Header, Journal
 from slam.result import Calibration, MoreLoops, SlamResult, ThresholdFit, compared
 from slam.system import Slam
@@ -35,12 +32,6 @@ from slam.types import (
     Rejection,
     RejectionReason,
 )
-
-NOT_ADJUSTED = (
-    "this was made of what a run had left, without images and features: the pose graph is solved,"
-    " but the map is not adjusted to it, and there are no pictures and no point cloud"
-)
-
 
 _MOST_ROUNDS = 3  # each looks at the next pairs, of a map that the loops of the last one corrected
 _DROPPED = (
@@ -61,53 +52,23 @@ class ReplayedSlam(Slam):
         """
         camera = journal.header.camera
         super().__init__(camera, _Nobody(journal.header.min_similarity), config)
-        self._journal = journal
-        self._remembered = remembered
+        self._tracker = _RecordedTracking(journal, remembered)
         self._back_end.loop_closer = (
             _RememberedLoops(journal.header, remembered, config)
             if remembered and not journal.attempts
             else _RecordedLoops(journal, config)
         )
-        self._T_odom_kf: dict[int, FloatArray] = {}
-        self._number = 0
         shape = (camera.height, camera.width)
         self._rgb = np.zeros((*shape, 3), np.uint8)
         self._depth_m = np.zeros(shape, np.float32)
 
-    def process_next(self) -> None:
-        """Take the next frame of the journal."""
-        timestamp_s, _ = self._journal.frames[self._number]
+    def process_next(self, timestamp_s: float) -> None:
+        """Take the next frame of the journal, which came at that time."""
         self.process(Frame(timestamp_s, self._rgb, self._depth_m))
 
     def finish(self) -> SlamResult:
         """Return what the run found out until it was killed; how long it took is not known."""
         return replace(super().finish(), elapsed_s=None, stage_seconds={})
-
-    def _track(
-        self, frame: Frame, T_given_cam: FloatArray | None, is_keyframe: bool
-    ) -> TrackedFrame | Rejection:
-        _, tracked = self._journal.frames[self._number]
-        self._number += 1
-        if tracked is None:
-            return Rejection(RejectionReason.FEW_MATCHES, np.nan, np.nan)
-        self._T_odom_kf.update(tracked.moved)
-        if keyframe := tracked.new_keyframe:
-            self._T_odom_kf[keyframe.id] = keyframe.T_odom_cam
-        return tracked
-
-    def _tracked(self, keyframes: Sequence[Keyframe]) -> dict[int, FloatArray]:
-        last = self._journal.T_odom_kf
-        return {each.id: last.get(each.id, self._T_odom_kf[each.id]) for each in keyframes}
-
-    @property
-    def _map(self) -> LandmarkMap:
-        return self._remembered.the_map if self._remembered else super()._map
-
-    def _adjusted(self, loops: ClosedLoops) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
-        if self._remembered:
-            return super()._adjusted(loops)
-        left_out = size_warning(len(loops.T_world_kf)) or (NOT_ADJUSTED,)
-        return loops.T_world_kf, loops.T_world_kf_without, left_out
 
 
 class SearchingSlam(ReplayedSlam):
@@ -172,7 +133,7 @@ def fed(slam: ReplayedSlam, journal: Journal, poses: PoseFile | None) -> Replaye
         if number in journal.session_starts:  # before its poses
             slam.start_session()
         feed.until(timestamp_s)
-        slam.process_next()
+        slam.process_next(timestamp_s)
     if journal.is_whole:
         feed.until(math.inf)
     return slam
@@ -188,6 +149,40 @@ def poses_again(journal: Journal, config: Config) -> PoseFile | None:
         return None
     stamps_s = np.array([timestamp_s for timestamp_s, _ in journal.frames])
     return read_odometry(Path(journal.header.odometry), stamps_s, config.input)
+
+
+class _RecordedTracking:
+    """Places each frame where it was placed when it came, and keyframes where they ended.
+
+    Attributes:
+        map: what the keyframes showed, None where it was not kept.
+    """
+
+    def __init__(self, journal: Journal, remembered: Remembered | None) -> None:
+        self.map = remembered.the_map if remembered else None
+        self._left = iter(journal.frames)
+        self._last = journal.T_odom_kf
+        self._T_odom_kf: dict[int, FloatArray] = {}
+
+    def start_session(self) -> None:
+        """Leave it: each frame tells its segment."""
+
+    def track(
+        self, frame: Frame, T_given_cam: FloatArray | None = None, is_keyframe: bool = False
+    ) -> TrackedFrame | Rejection:
+        _, tracked = next(self._left)
+        if tracked is None:
+            return Rejection(RejectionReason.FEW_MATCHES, np.nan, np.nan)
+        self._T_odom_kf.update(tracked.moved)
+        if keyframe := tracked.new_keyframe:
+            self._T_odom_kf[keyframe.id] = keyframe.T_odom_cam
+        return tracked
+
+    def settle(self) -> None:
+        """Leave it: where the last keyframe was adjusted to is on record."""
+
+    def T_odom_kf(self, keyframe_ids: Iterable[int]) -> dict[int, FloatArray]:
+        return {k: self._last.get(k, self._T_odom_kf[k]) for k in keyframe_ids}
 
 
 class _Nobody:

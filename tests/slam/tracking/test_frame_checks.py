@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from slam.tracking.frame_log import check_frame
+from slam.tracking.frame_checks import check_frame
 from slam.types import Camera, Frame, SlamError
 
 CAMERA = Camera(8, 6, 4.0, 4.0, 3.5, 2.5)

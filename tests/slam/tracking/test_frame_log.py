@@ -137,6 +137,26 @@ def test_a_path_breaks_where_the_camera_was_lost_or_another_segment_begins(frame
     assert len(FrameLog().breaks_s()) == 0
 
 
+def test_a_session_starts_with_the_frame_that_comes_next_whatever_becomes_of_it():
+    log = FrameLog()
+    log.start_session()  # the first may be announced too
+    for timestamp_s in (1.0, 2.0, 3.0):
+        log.expect(timestamp_s)
+        log.start_session()
+    log.start_session()  # of one that nothing came of nobody knows
+    log.expect(4.0)
+    log.expect(5.0)
+    assert log.session_starts_s == [2.0, 3.0, 4.0] and log.last_s == 5.0
+
+
+def test_frames_of_an_earlier_map_count_as_placed_and_are_in_no_trajectory():
+    log = FrameLog([3, 0, 2])
+    log.add(9.0, TrackedFrame(2, np.eye(4), np.eye(4)))
+    assert log.per_keyframe() == {0: 3, 2: 3}
+    assert log.trajectory(poses(0.0, 1.0, 2.0)).timestamps_s.tolist() == [9.0]
+    assert log.placed.newest_id.tolist() == [2]
+
+
 def test_lost_frames_and_those_apart_are_warned_of(frames):
     lost, apart = frames.warnings(poses(0.0, np.nan, 7.0))
     assert lost.startswith("3 of 9 frames could not be tracked") and lost.endswith("2.000 s")

@@ -2,6 +2,7 @@
 """The map, adjusted in the end to what its loops say."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,13 +12,32 @@ from slam.mapping.map_adjustment import adjust_with_loops
 from slam.types import FloatArray
 
 
-def adjusted(
-    the_map: LandmarkMap, loops: ClosedLoops
-) -> tuple[FloatArray, FloatArray, LandmarkMap]:
-    """Return the (K, 4, 4) poses to which the map brings what it begins with, NaN as there.
+@dataclass(frozen=True)
+class FinalMap:
+    """Where keyframes are in the end.
 
-    That is the loops' solution, and the odometry's, which is adjusted in the same way but for
-    loops; the two do not wait for each other. The map itself comes last, by the loops' solution.
+    Attributes:
+        T_world_kf: (K, 4, 4), NaN where the loops' solution has none.
+        T_world_kf_without: (K, 4, 4), the same without loops.
+        the_map: the adjusted map by `T_world_kf`, None where the pose graph had the last word.
+        warnings: why it had, one sentence at most.
+    """
+
+    T_world_kf: FloatArray
+    T_world_kf_without: FloatArray
+    the_map: LandmarkMap | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def left_as_solved(loops: ClosedLoops, why: tuple[str, ...] = ()) -> FinalMap:
+    """Return keyframes as the pose graph has them, with a sentence that says why if need be."""
+    return FinalMap(loops.T_world_kf, loops.T_world_kf_without, warnings=why)
+
+
+def adjusted(the_map: LandmarkMap, loops: ClosedLoops) -> FinalMap:
+    """Return what the map, which stays as it is, makes of the loops' solution, and of the odometry.
+
+    The latter is adjusted in the same way but for loops; the two do not wait for each other.
     """
     pairs = [(each.match_id, each.query_id) for each in loops.attempts if each.rejection is None]
     placed = np.flatnonzero(np.isfinite(loops.T_world_kf[:, 0, 0])).tolist()
@@ -33,4 +53,4 @@ def adjusted(
     with ThreadPoolExecutor(1, thread_name_prefix="without loops") as beside:
         without = beside.submit(adjusted_from, loops.T_world_kf_without, [])
         T_world_kf, final = adjusted_from(loops.T_world_kf, pairs) if pairs else without.result()
-        return T_world_kf, without.result()[0], final
+        return FinalMap(T_world_kf, without.result()[0], final)

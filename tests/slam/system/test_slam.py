@@ -13,7 +13,6 @@ from placerec.datasets import PlaceDataset
 from placerec.errors import RecognizerError
 from placerec.evaluation.calibration import Scenes, calibrate
 from placerec.recognizers.gradients import GradientRecognizer
-from slam import system
 from slam.config import Config, EvaluationConfig, KeyframesConfig, LoopConfig, MotionConfig
 from slam.evaluation.drift import compare_drift, trajectory_error
 from slam.geometry import se3
@@ -164,7 +163,7 @@ def test_each_trajectory_is_what_it_says(frames):
 
 
 def test_poses_from_elsewhere_are_not_smoothed(drifting, monkeypatch):
-    monkeypatch.delattr(system, "smoothed")
+    monkeypatch.delattr("slam.system.finishing.smoothed")
     result, _ = add_all(drifting, Config(motion=MotionConfig(smooth=True)))
     np.testing.assert_array_equal(result.odometry.T_world_cam, drifting[1])
     np.testing.assert_allclose(result.trajectory.T_world_cam, result.T_world_kf, atol=1e-9)
@@ -182,7 +181,7 @@ def test_a_jump_of_an_odometry_from_elsewhere_is_told_and_bridged(frames, T_firs
 
 
 def test_steps_that_no_camera_makes_are_warned_of(frames, monkeypatch):
-    monkeypatch.setattr(system, "impossible_steps", lambda trajectory, starts_s: ("a leap",))
+    monkeypatch.setattr("slam.system.finishing.impossible_steps", lambda *_: ("a leap",))
     assert "a leap" in run(frames[:3]).warnings
 
 
@@ -596,7 +595,7 @@ def test_frames_are_smoothed_if_asked_between_the_breaks_and_nothing_else_change
         breaks_s.append(its_breaks_s)
         return Trajectory(trajectory.timestamps_s, trajectory.T_world_cam + 0.01)
 
-    monkeypatch.setattr(system, "smoothed", moved)
+    monkeypatch.setattr("slam.system.finishing.smoothed", moved)
     config = Config(motion=MotionConfig(smooth=True))
     again = run(torn_frames(frames), config)
     smooth, rough = again.trajectory, torn.trajectory
