@@ -2,26 +2,30 @@
 """Is it the loss or the choice of images? The paper's comparison, taken apart.
 
     python -m benchmarks.place_recognition.loss_comparison SCENES PATHS fr1_desk corridor \
-        --mobilenet mobilenet_v2.npz --work FOLDER
+        --mobilenet mobilenet_v2.npz --work FOLDER [--frozen-block block9] [--same-sets-only]
 
 The paper's conditions: a random fully connected layer of 1,000 values behind flattened maps, its
-margins, five sets a step, a learning rate of 1e-4. The maps are those of MobileNetV2's ImageNet
-weights and stay as they are, so that a training takes minutes and five seeds of each can be had.
-Three ways to learn start from the same layer, and the first two see the same images in every round:
+margins, five sets a step. It names no learning rate: ours is 1e-4. The maps are those of
+MobileNetV2's ImageNet weights. They stay as they are, so that a training takes minutes and five
+seeds of each can be had; or the blocks behind --frozen-block learn as well, at the same rate. (The
+weights have the batch norms folded in: there is none to train or to freeze.) Three ways to learn
+start from the same weights, and the first two see the same images in every round:
 
 - *multi-constraint*: eq. 7 on the sets of Algorithm 1;
 - *triplet, same sets*: eq. 2 on the sets of Algorithm 1;
 - *triplet, drawn*: eq. 2 on as many images drawn at random, as triplets are without mining.
 
-SCENES and PATHS are made by `python -m benchmarks.training_scenes`, PATHS with --paths; what is
-measured on is any data that `placerec evaluate` takes, or a folder of such. What was worked out is
-kept in FOLDER.
+SCENES and PATHS are made by `python -m benchmarks.training_scenes`, PATHS with --paths. Either can
+be any data that `placerec evaluate` takes, or a folder of such; clips are learned from by their
+training part. What was worked out is kept in FOLDER: other data need another one.
 """
 
 import argparse
+import copy
 import io
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from statistics import fmean
@@ -31,12 +35,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.stats import t as student
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 from tqdm import tqdm
 
 from benchmarks.place_recognition.trainings import PAPERS_MARGINS
-from placerec.datasets import LabelledImages, PlaceDataset, open_collection, open_dataset
+from placerec.datasets import LabelledImages, PlaceDataset, open_collection
 from placerec.evaluation.precision_recall import evaluate
 from placerec.files import write_atomically
 from placerec.networks import TRUNKS, PlaceNetwork
@@ -54,70 +58,106 @@ from placerec.training.losses import (
     triplet_loss,
 )
 
-SIZE_PX, BLOCK = (160, 120), "block12"
+TRUNK, SIZE_PX, BLOCK = TRUNKS["mobilenet_v2"], (160, 120), "block12"
 RULES = SetRules()
 ALPHA, BETA = PAPERS_MARGINS["alpha"], PAPERS_MARGINS["beta"]
 DIMENSION, BATCH_SETS, LEARNING_RATE = 1000, 5, 1e-4
+LOOKS = 4
+"""How often a training is measured after its start."""
 SCENES_PER_ROUND, PLACES_PER_SCENE, IMAGES_PER_PLACE = 3, 12, 4
 IMAGES_PER_PASS = 16
 OURS, SAME_SETS, DRAWN = "multi-constraint", "triplet, same sets", "triplet, drawn"
 WAYS = (OURS, SAME_SETS, DRAWN)
 
 Kinds = dict[str, list[tuple[PlaceDataset, Tensor]]]
+Curves = dict[tuple[str, int], NDArray[np.float64]]
+"""For a way and a seed, the (1 + LOOKS, K) average precisions on K kinds."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is the same for all ways.
+
+    Attributes:
+        blocks: those that learn, as they are before the first step.
+        learning_rate: of them, and of the last layer.
+        steps: after which a training ends.
+    """
+
+    blocks: nn.Sequential
+    learning_rate: float
+    steps: int
 
 
 def main() -> int:
-    """Learn what is not learned yet, and print the table."""
+    """Learn what is not learned yet, and print the tables."""
+    options = _arguments()
+    kept = options.work / options.frozen_block
+    kept.mkdir(parents=True, exist_ok=True)
+    frozen = PlaceNetwork(TRUNK, 1, block=options.frozen_block, size_px=SIZE_PX)
+    load_pretrained(frozen, options.mobilenet)
+    frozen.eval()
+    scenes = open_collection(options.scenes, "train")
+    datasets = scenes[:: max(1, len(scenes) // options.most_scenes)]
+    maps = torch.cat([_maps(frozen, each, f"learn-{each.name}", kept) for each in datasets])
+    kinds: Kinds = {}
+    for source in options.data:
+        kind = Path(source).name
+        kinds[kind] = [
+            (each, _maps(frozen, each, f"{kind}-{each.name}", kept))
+            for each in open_collection(source)
+        ]
+    blocks = _blocks_behind(options.frozen_block, options.mobilenet)
+    same_for_all = Conditions(blocks, options.learning_rate, options.steps)
+    ways = WAYS[:2] if options.same_sets_only else WAYS
+    images, found = LabelledImages(datasets), {}
+    for seed in range(options.seeds):
+        for way in ways:
+            name = f"{way.replace(', ', '-')}-seed{seed}-{options.steps}-{options.learning_rate:g}"
+            file = kept / f"{name}.npy"
+            if not file.exists():
+                _keep(file, np.array(list(_learn(images, maps, kinds, same_for_all, way, seed))))
+            found[way, seed] = np.load(file)
+    _print_gains(list(kinds), found, ways, range(options.seeds))
+    _print_curves(list(kinds), found, ways, range(options.seeds), options.steps)
+    return 0
+
+
+def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("scenes", type=Path, help="to learn from")
+    parser.add_argument("scenes", help="to learn from")
     parser.add_argument("data", nargs="+", help="to measure on, a kind of scenes each")
     parser.add_argument("--mobilenet", type=Path, required=True, help="its ImageNet weights")
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--most-scenes", type=int, default=60)
-    options = parser.parse_args()
-    options.work.mkdir(parents=True, exist_ok=True)
-    trunk = PlaceNetwork(TRUNKS["mobilenet_v2"], 1, block=BLOCK, size_px=SIZE_PX)
-    load_pretrained(trunk, options.mobilenet)
-    trunk.eval()
-    folders = sorted(path.parent for path in options.scenes.glob("*/rgb.txt"))
-    chosen = folders[:: max(1, len(folders) // options.most_scenes)]
-    datasets = [open_dataset(str(folder), "train") for folder in chosen]
-    values = torch.cat(
-        [_values(trunk, each, f"learn-{each.name}", options.work) for each in datasets]
-    )
-    kinds: Kinds = {}
-    for source in options.data:
-        kind = Path(source).name
-        kinds[kind] = [
-            (each, _values(trunk, each, f"{kind}-{each.name}", options.work))
-            for each in open_collection(source)
-        ]
-    images, found = LabelledImages(datasets), {}
-    for seed in range(options.seeds):
-        for way in WAYS:
-            file = options.work / f"{way.replace(', ', '-')}-seed{seed}-{options.steps}.npy"
-            if not file.exists():
-                curve = list(_learn(images, values, kinds, way, seed, options.steps))
-                _keep(file, np.array(curve))
-            found[way, seed] = np.load(file)
-    _print(list(kinds), found, range(options.seeds))
-    return 0
+    blocks = list(TRUNK.blocks)[: list(TRUNK.blocks).index(BLOCK) + 1]
+    parser.add_argument("--frozen-block", choices=blocks, default=BLOCK, metavar="BLOCK")
+    parser.add_argument("--learning-rate", type=float, default=LEARNING_RATE)
+    parser.add_argument("--same-sets-only", action="store_true", help="leave the drawn ones out")
+    return parser.parse_args()
+
+
+def _blocks_behind(frozen_block: str, mobilenet: Path) -> nn.Sequential:
+    """Return the trunk's blocks from the one behind a frozen one to `BLOCK`."""
+    whole = PlaceNetwork(TRUNK, 1, block=BLOCK, size_px=SIZE_PX)
+    load_pretrained(whole, mobilenet)
+    return nn.Sequential(*list(whole.features.children())[TRUNK.layer_count(frozen_block) :])
 
 
 @torch.no_grad()
-def _values(trunk: PlaceNetwork, dataset: PlaceDataset, name: str, work: Path) -> Tensor:
-    """Return the (N, F) float16 flattened maps of a dataset's images, kept by a name."""
-    file = work / f"{name}.npy"
+def _maps(frozen: PlaceNetwork, dataset: PlaceDataset, name: str, kept: Path) -> Tensor:
+    """Return the (N, C, h, w) float16 maps of a dataset's images, kept by a name."""
+    file = kept / f"{name}.npy"
     if not file.exists():
         parts = []
         for start in tqdm(range(0, len(dataset), IMAGES_PER_PASS), desc=name, leave=False):
             end = min(start + IMAGES_PER_PASS, len(dataset))
-            parts.append(trunk.features(trunk.prepare([dataset[i] for i in range(start, end)])))
-        _keep(file, torch.cat(parts).flatten(start_dim=1).half().numpy())
+            parts.append(frozen.features(frozen.prepare([dataset[i] for i in range(start, end)])))
+        _keep(file, torch.cat(parts).half().numpy())
     return torch.from_numpy(np.load(file))
 
 
@@ -128,19 +168,21 @@ def _keep(file: Path, values: NDArray[Any]) -> None:
 
 
 def _learn(
-    images: LabelledImages, values: Tensor, kinds: Kinds, way: str, seed: int, steps: int
+    images: LabelledImages, maps: Tensor, kinds: Kinds, same: Conditions, way: str, seed: int
 ) -> Iterator[list[float]]:
-    """Yield the average precision on each kind before the first step, and ten times on the way."""
+    """Yield the average precision on each kind before the first step, and LOOKS times after it."""
     torch.manual_seed(seed)
-    layer = torch.nn.Linear(values.shape[1], DIMENSION)
-    adam = torch.optim.Adam(layer.parameters(), lr=LEARNING_RATE)
-    rounds = _rounds(images, values, layer, way, seed)
-    yield _precisions(layer, kinds)
-    for step in tqdm(range(1, steps + 1), desc=f"{way}, seed {seed}"):
+    blocks = copy.deepcopy(same.blocks)
+    layer = nn.Linear(blocks(maps[:1].float()).numel(), DIMENSION)
+    network = nn.Sequential(blocks, nn.Flatten(), layer)
+    adam = torch.optim.Adam(network.parameters(), lr=same.learning_rate)
+    rounds = _rounds(images, maps, network, way, seed)
+    yield _precisions(network, kinds)
+    for step in tqdm(range(1, same.steps + 1), desc=f"{way}, seed {seed}"):
         sets = next(rounds)
         rows = np.concatenate([sets.positives, sets.negatives], axis=1)
-        embeddings = _embed(layer, values[torch.from_numpy(rows.ravel())])
-        embeddings = embeddings.reshape(*rows.shape, DIMENSION)
+        different, which = np.unique(rows, return_inverse=True)  # sets share images
+        embeddings = _embed(network, maps[torch.from_numpy(different)])[which.reshape(rows.shape)]
         positives, negatives = embeddings[:, : RULES.positives], embeddings[:, RULES.positives :]
         if way == OURS:
             rng = np.random.default_rng([seed, step])
@@ -153,12 +195,17 @@ def _learn(
         adam.zero_grad()
         torch.autograd.backward(losses.mean())
         adam.step()
-        if step % max(1, steps // 10) == 0:
-            yield _precisions(layer, kinds)
+        if step in _looks(same.steps):
+            yield _precisions(network, kinds)
+
+
+def _looks(steps: int) -> list[int]:
+    """Return the steps after which a training is measured."""
+    return [steps * look // LOOKS for look in range(1, LOOKS + 1)]
 
 
 def _rounds(
-    images: LabelledImages, values: Tensor, layer: torch.nn.Linear, way: str, seed: int
+    images: LabelledImages, maps: Tensor, network: nn.Module, way: str, seed: int
 ) -> Iterator[ImageSets]:
     """Yield five sets at a time, of images that are drawn alike for all ways."""
     for number in count():
@@ -172,7 +219,7 @@ def _rounds(
             sets = _drawn(truth.same, truth.apart, rows, rng)
         else:
             with torch.no_grad():
-                features = _embed(layer, values[torch.from_numpy(seen)]).numpy()
+                features = _embed(network, maps[torch.from_numpy(seen)]).numpy()
             sets = build_image_sets(features, truth, rng, RULES, rows)
         for start in range(0, len(sets), BATCH_SETS):
             part = slice(start, start + BATCH_SETS)
@@ -196,31 +243,46 @@ def _drawn(
     return ImageSets(np.array(positives), np.array(negatives))
 
 
-def _embed(layer: torch.nn.Linear, values: Tensor) -> Tensor:
-    return functional.normalize(layer(values.float()))
+def _embed(network: nn.Module, maps: Tensor) -> Tensor:
+    # In the order of numbers in memory that convolutions on a CPU are faster with.
+    inputs = maps.float().contiguous(memory_format=torch.channels_last)
+    return functional.normalize(network(inputs))
 
 
 @torch.no_grad()
-def _precisions(layer: torch.nn.Linear, kinds: Kinds) -> list[float]:
+def _precisions(network: nn.Module, kinds: Kinds) -> list[float]:
     return [
-        fmean(
-            evaluate(each, _embed(layer, values).numpy()).pair_curve.area for each, values in kind
-        )
+        fmean(evaluate(each, _embed(network, maps).numpy()).pair_curve.area for each, maps in kind)
         for kind in kinds.values()
     ]
 
 
-def _print(
-    kinds: Sequence[str], found: dict[tuple[str, int], NDArray[np.float64]], seeds: Sequence[int]
+def _print_gains(
+    kinds: Sequence[str], found: Curves, ways: Sequence[str], seeds: Sequence[int]
 ) -> None:
-    print("| average precision | start | " + " | ".join(WAYS) + " | over same sets | over drawn |")
-    print("|---|---:|" + "---:|" * len(WAYS) + "---|---|")
+    others = [way for way in ways if way != OURS]
+    columns = ["start", *ways, *(f"over {way}" for way in others)]
+    print("| average precision at the end | " + " | ".join(columns) + " |")
+    print("|---|" + "---:|" * (1 + len(ways)) + "---|" * len(others))
     for k, kind in enumerate(kinds):
-        ends = {way: np.array([found[way, seed][-1, k] for seed in seeds]) for way in WAYS}
+        ends = {way: np.array([found[way, seed][-1, k] for seed in seeds]) for way in ways}
         start = fmean(found[OURS, seed][0, k] for seed in seeds)
-        cells = [f"{start:.3f}", *(f"{ends[way].mean():.3f}" for way in WAYS)]
-        cells += [_gain(ends[OURS], ends[other]) for other in (SAME_SETS, DRAWN)]
+        cells = [f"{start:.3f}", *(f"{ends[way].mean():.3f}" for way in ways)]
+        cells += [_gain(ends[OURS], ends[other]) for other in others]
         print(f"| {kind} | " + " | ".join(cells) + " |")
+
+
+def _print_curves(
+    kinds: Sequence[str], found: Curves, ways: Sequence[str], seeds: Sequence[int], steps: int
+) -> None:
+    print(
+        "\n| average precision after steps | | " + " | ".join(map(str, [0, *_looks(steps)])) + " |"
+    )
+    print("|---|---|" + "---:|" * (1 + LOOKS))
+    for k, kind in enumerate(kinds):
+        for way in ways:
+            means = np.mean([found[way, seed][:, k] for seed in seeds], axis=0)
+            print(f"| {kind} | {way} | " + " | ".join(f"{mean:.3f}" for mean in means) + " |")
 
 
 def _gain(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> str:

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from benchmarks.place_recognition import loss_comparison
-from benchmarks.place_recognition.loss_comparison import WAYS, main
+from benchmarks.place_recognition.loss_comparison import DRAWN, OURS, WAYS, main
 from benchmarks.training_scenes.handheld import write_folder
 from placerec.networks import TRUNKS
 
@@ -30,24 +30,61 @@ def scenes(tmp_path):
     return tmp_path
 
 
-def test_all_ways_start_from_one_layer_and_are_compared_seed_by_seed(scenes, monkeypatch, capsys):
+@pytest.fixture
+def compare(scenes, monkeypatch, capsys):
+    """Return what compares losses on a small network, by some options: what it printed."""
     monkeypatch.setattr(loss_comparison, "load_pretrained", lambda *_: None)
     monkeypatch.setattr(loss_comparison, "BLOCK", "block1")
     monkeypatch.setattr(loss_comparison, "SIZE_PX", (32, 24))
     monkeypatch.setattr(loss_comparison, "DIMENSION", 16)
-    argv = ["x", f"{scenes}/scenes", f"{scenes}/paths", "--mobilenet", "none", "--seeds", "2"]
-    argv += ["--work", f"{scenes}/work", "--steps", "10"]
-    monkeypatch.setattr("sys.argv", argv)
-    assert main() == 0
-    told = capsys.readouterr().out
+    argv = ["x", f"{scenes}/scenes", f"{scenes}/paths", "--mobilenet", "none"]
+
+    def told(*options):
+        everything = [*argv, "--work", f"{scenes}/work", "--steps", "10", *options]
+        monkeypatch.setattr("sys.argv", everything)
+        assert main() == 0
+        return capsys.readouterr().out
+
+    return told
+
+
+def test_all_ways_start_from_one_layer_and_are_compared_seed_by_seed(scenes, compare):
+    told = compare("--seeds", "2")
     assert all(way in told for way in WAYS)
-    assert "| paths | " in told.splitlines()[-1] and told.count(" % (") == 2
-    curves = [np.load(file) for file in sorted((scenes / "work").glob("*-seed0-10.npy"))]
-    assert len(curves) == 3 and all(curve.shape == (11, 1) for curve in curves)
+    gains = told.splitlines()[2]
+    assert gains.startswith("| paths | ") and gains.count(" % (") == 2
+    curves = _curves(scenes, "block1")
+    assert len(curves) == 3 and all(curve.shape == (5, 1) for curve in curves)
     assert curves[0][0] == curves[1][0] == curves[2][0]
     assert not np.array_equal(curves[0], curves[1])
-    assert main() == 0  # from what was kept
-    assert capsys.readouterr().out == told
+    assert "steps | | 0 | 2 | 5 | 7 | 10 |" in told
+    ours = told.splitlines()[-3]
+    means = np.mean([_curves(scenes, "block1", seed)[0] for seed in (0, 1)], axis=0)
+    assert ours == f"| paths | {OURS} | {' | '.join(f'{mean:.3f}' for mean in means[:, 0])} |"
+    assert compare("--seeds", "2") == told  # from what was kept
+
+
+def test_blocks_behind_a_frozen_one_learn_from_the_same_start(scenes, compare):
+    told = compare("--seeds", "1", "--same-sets-only", "--frozen-block", "block0")
+    assert DRAWN not in told
+    learned = _curves(scenes, "block0")
+    assert len(learned) == 2 and learned[0][0] == learned[1][0]
+    compare("--seeds", "1", "--same-sets-only")
+    fixed = _curves(scenes, "block1")
+    np.testing.assert_allclose(learned[0][0], fixed[0][0], atol=2e-3)  # other maps are rounded
+    assert not np.allclose(learned[0][1:], fixed[0][1:], atol=1e-6)
+
+
+def test_a_block_behind_the_last_is_refused(compare, capsys):
+    with pytest.raises(SystemExit) as stop:
+        compare("--frozen-block", "block2")
+    assert stop.value.code == 2 and "block0" in capsys.readouterr().err
+
+
+def _curves(scenes, frozen_block, seed=0):
+    """Return the kept curves of a seed, in the order of their names: ours, drawn, same sets."""
+    folder = scenes / "work" / frozen_block
+    return [np.load(file) for file in sorted(folder.glob(f"*-seed{seed}-10-*.npy"))]
 
 
 def test_a_drawn_set_is_of_one_place_and_of_others():
