@@ -114,7 +114,7 @@ def main() -> int:
     for seed in range(options.seeds):
         for way in ways:
             name = f"{way.replace(', ', '-')}-seed{seed}-{options.steps}-{options.learning_rate:g}"
-            file = kept / f"{name}.npy"
+            file = kept / f"{name}-{'+'.join(kinds)}.npy"  # whose columns these are
             if not file.exists():
                 _keep(file, np.array(list(_learn(images, maps, kinds, same_for_all, way, seed))))
             found[way, seed] = np.load(file)

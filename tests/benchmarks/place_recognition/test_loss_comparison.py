@@ -37,10 +37,11 @@ def compare(scenes, monkeypatch, capsys):
     monkeypatch.setattr(loss_comparison, "BLOCK", "block1")
     monkeypatch.setattr(loss_comparison, "SIZE_PX", (32, 24))
     monkeypatch.setattr(loss_comparison, "DIMENSION", 16)
-    argv = ["x", f"{scenes}/scenes", f"{scenes}/paths", "--mobilenet", "none"]
+    argv = ["x", f"{scenes}/scenes"]
 
-    def told(*options):
-        everything = [*argv, "--work", f"{scenes}/work", "--steps", "10", *options]
+    def told(*options, data=("paths",)):
+        everything = [*argv, *(f"{scenes}/{kind}" for kind in data), "--mobilenet", "none"]
+        everything += ["--work", f"{scenes}/work", "--steps", "10", *options]
         monkeypatch.setattr("sys.argv", everything)
         assert main() == 0
         return capsys.readouterr().out
@@ -62,6 +63,9 @@ def test_all_ways_start_from_one_layer_and_are_compared_seed_by_seed(scenes, com
     means = np.mean([_curves(scenes, "block1", seed)[0] for seed in (0, 1)], axis=0)
     assert ours == f"| paths | {OURS} | {' | '.join(f'{mean:.3f}' for mean in means[:, 0])} |"
     assert compare("--seeds", "2") == told  # from what was kept
+    more = compare("--seeds", "1", "--same-sets-only", data=("scenes", "paths"))
+    kinds = [line.split(" | ")[0] for line in more.splitlines()[2:4]]
+    assert kinds == ["| scenes", "| paths"]  # and not from that, whose columns are others
 
 
 def test_blocks_behind_a_frozen_one_learn_from_the_same_start(scenes, compare):
