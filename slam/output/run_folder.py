@@ -107,7 +107,7 @@ def write_outputs(
         )
     }
     if config.map.write and result.has_images:  # before the memory that the report takes is taken
-        later["map.ply"] = lambda path: _write_map(path, result, config.map)
+        later["map.ply"] = lambda path: write_map(path, result, config.map)
     later["report.html"] = lambda path: _write_report(path, result, drift, settings, title)
     _write(claimed.unfinished, later, salvage)
     claimed.complete()
@@ -123,6 +123,7 @@ def _write(folder: Path, writers: dict[str, _Writer], salvage: Salvage) -> None:
         salvage.attempt(name, partial(write, path), None)
         if name in salvage.missing:  # what the run had of it so far is not what it is called
             path.unlink(missing_ok=True)
+        give_back()  # what one took, the next one need not take anew
 
 
 def begin_outputs(
@@ -172,11 +173,6 @@ def _of_given(given: GivenOdometry, pose_file: PoseFile | None) -> dict[str, _Wr
     }
 
 
-def _write_map(path: Path, result: SlamResult, config: MapConfig) -> None:
-    write_map(path, result, config)
-    give_back()
-
-
 def _with_meshes(folder: Path, result: SlamResult, config: MapConfig) -> SlamResult:
     """Write the meshes; a run is worth more than they, so that what fails is a warning."""
     try:
@@ -202,7 +198,6 @@ def _write_report(
     from slam.output.report.page import write_report
 
     write_report(path, result, drift, settings, title)
-    give_back()
 
 
 def _write_graph(path: Path, result: SlamResult) -> None:

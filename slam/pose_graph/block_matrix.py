@@ -14,7 +14,10 @@ _ANCHOR_INFORMATION = 1e8
 # Where weights hardly changed, a step is found with the factors of an earlier one, applied up to so
 # many times; new ones may be so often before all motions are taken into them. In a small graph that
 # costs least.
-_REPEATS, _MOST_REPEATS = 30, 300
+_REPEATS, _MOST_REPEATS = 30, 2000
+# What weighs less than such a share of the heaviest is left to repeats, the more of it the thicker
+# the factors would be: of so many blocks a pose they are thin.
+_SHARES, _THIN = (0.05, 0.1, 0.2, 0.4, 0.8), 20
 _WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -29,6 +32,7 @@ class _Layout:
         place_of: (K,) where a pose is in the order.
         order: the blocks that are there, by rows of the order.
         columns, starts: where each of them is, and where a row of them begins.
+        fill: how many blocks a factor has.
     """
 
     is_there: NDArray[np.bool_]
@@ -36,6 +40,7 @@ class _Layout:
     order: IntArray
     columns: IntArray
     starts: IntArray
+    fill: int
 
 
 @dataclass(frozen=True)
@@ -76,18 +81,17 @@ class BlockMatrix:
         self._factors: _Factors | None = None
 
     def solved(
-        self, blocks: list[FloatArray], right: FloatArray, rest: float, is_strong: NDArray[np.bool_]
+        self, blocks: list[FloatArray], right: FloatArray, rest: float, weights: FloatArray
     ) -> FloatArray:
         """Return (K, 6), what the matrix takes to (K, 6) right, but for a rest of such a share.
 
         Its blocks are (M, 6, 6) each: from reference to itself, to query, and from that to both.
-        Of the (M,) motions those that are strong lead to the solution soon.
+        Of the motions those that weigh most, by (M,) weights, lead to the solution soon.
         """
         summed, right = self._summed(blocks), right.ravel()
         solution = self._nearly(summed, right, rest, _REPEATS)
         if solution is None and self._count >= _WORTH_REUSING:
-            strong = [each * is_strong[:, None, None] for each in blocks]
-            self._factors = self._factorised(self._summed(strong))
+            self._factors = self._factorised(self._heaviest(blocks, weights))
             solution = self._nearly(summed, right, rest, _MOST_REPEATS)
         if solution is None:
             self._factors = self._factorised(summed)
@@ -104,6 +108,19 @@ class BlockMatrix:
         added = np.concatenate([*blocks, _ANCHOR_INFORMATION * np.eye(6)[None]]).reshape(-1, 36)
         return np.asarray((self._sum @ added).reshape(-1, 6, 6))
 
+    def _heaviest(self, blocks: list[FloatArray], weights: FloatArray) -> FloatArray:
+        """Return (B, 6, 6), the blocks by the heaviest motions alone, the fewer the thicker."""
+        used = 0
+        for share in _SHARES:
+            is_heavy = weights >= share * weights.max()
+            if is_heavy.sum() == used:
+                continue
+            used = int(is_heavy.sum())
+            summed = self._summed([each * is_heavy[:, None, None] for each in blocks])
+            if self._layout_of(summed).fill < _THIN * self._count:
+                break
+        return summed
+
     def _factorised(self, summed: FloatArray) -> _Factors:
         layout, size = self._layout_of(summed), 6 * self._count
         parts = (summed[layout.order], layout.columns, layout.starts)
@@ -118,12 +135,12 @@ class BlockMatrix:
         is_there = np.asarray(summed.any(axis=(1, 2)))
         if self._layout is None or (self._layout.is_there != is_there).any():
             at, count = np.flatnonzero(is_there), self._count
-            place_of = _elimination_order(self._rows[at], self._columns[at], count)
+            place_of, fill = _elimination_order(self._rows[at], self._columns[at], count)
             places = place_of[self._rows[at]] * count + place_of[self._columns[at]]
             by_place = np.argsort(places)
             places = places[by_place]
             starts = np.searchsorted(places, count * np.arange(count + 1))
-            parts = (at[by_place], places % count, starts)
+            parts = (at[by_place], places % count, starts, fill)
             self._layout = _Layout(is_there, place_of, *parts)
         return self._layout
 
@@ -140,8 +157,8 @@ class BlockMatrix:
         return None if is_left else np.asarray(solution)
 
 
-def _elimination_order(rows: IntArray, columns: IntArray, count: int) -> IntArray:
-    """Return (K,) places of the poses in an order in which eliminating them fills in little.
+def _elimination_order(rows: IntArray, columns: IntArray, count: int) -> tuple[IntArray, int]:
+    """Return (K,) places of poses in an order whose elimination fills in little, and how much.
 
     It is that of minimum degree on the graph of the poses, six times smaller than their matrix.
     """
@@ -151,5 +168,5 @@ def _elimination_order(rows: IntArray, columns: IntArray, count: int) -> IntArra
     values = np.concatenate([np.full(np.count_nonzero(apart), -1.0), degrees])
     at = (np.concatenate([rows[apart], all_poses]), np.concatenate([columns[apart], all_poses]))
     pattern = scipy.sparse.coo_array((values, at), shape=(count, count)).tocsc()
-    order: IntArray = splu(pattern, permc_spec="MMD_AT_PLUS_A", **_POSITIVE).perm_c
-    return order.astype(np.int64)
+    factors = splu(pattern, permc_spec="MMD_AT_PLUS_A", **_POSITIVE)
+    return factors.perm_c.astype(np.int64), factors.nnz // 2

@@ -21,7 +21,6 @@ _NEXT_TO_NOTHING, _NEXT_TO_NONE = 2.0, 0.01
 # Keyframes: with more of them an earlier solution halves the work of the next one on the way.
 _MOST_FROM_NOTHING = 100
 _EXACT = 1e-8  # of a step
-_STRONG = 0.05  # of the largest weight of a loop: what weighs less is left to repeats
 _AT_ONCE = 1000  # loops, or pairs of them: their draws are 3 kB each
 _DRAWN_AT_ONCE = 10_000  # motions
 _DRAWS, _SEED = 64, 0  # enough to know a covariance of six numbers to a fifth
@@ -134,9 +133,9 @@ class MotionSystem:
             weighted = J_a.transpose(0, 2, 1) @ information
             np.add.at(gradient, a, np.einsum("nij,nj->ni", weighted, errors))
             blocks += [weighted @ J_b for _, J_b in sides]
-        is_strong = np.ones(len(information), np.bool_)
-        is_strong[self.first_loop :] = loop_weights >= _STRONG * loop_weights.max(initial=0.0)
-        step = self._matrix.solved(blocks, -gradient, rest, is_strong)
+        weights = np.ones(len(information))
+        weights[self.first_loop :] = loop_weights / max(loop_weights.max(initial=0.0), 1e-300)
+        step = self._matrix.solved(blocks, -gradient, rest, weights)
         moved: FloatArray = T_world_kf @ se3.exp(step)
         return moved, float(np.abs(step).max())
 
