@@ -235,7 +235,7 @@ def _finish(arguments: Arguments) -> None:
     from slam.output.claimed_folder import ClaimedFolder
     from slam.output.ending import Run, conclude
     from slam.output.journal import read_journal
-    from slam.output.replay.finishing import poses_again, replayed
+    from slam.output.replay.replayed import poses_again, replayed
 
     if arguments.live or arguments.rrd or arguments.map == "mesh":
         raise SlamError("--live, --rrd and --map mesh show images, and a killed run has none")

@@ -33,7 +33,7 @@ def main(typed: list[str]) -> int:
 
 
 def _searched(measured: "Measurements", settings: Config, poses: "PoseFile | None") -> "Slam":
-    from slam.output.replay.finishing import SearchingSlam, fed
+    from slam.output.replay.replayed import SearchingSlam, fed
 
     assert measured.remembered is not None  # or it was refused
     shown = partial(progress_bar, "looking again", unit="pair")

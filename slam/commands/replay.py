@@ -111,7 +111,7 @@ def decide_again(typed: list[str], again: Again) -> int:
 
 
 def _replayed(measured: "Measurements", settings: Config, poses: "PoseFile | None") -> "Slam":
-    from slam.output.replay.finishing import replayed
+    from slam.output.replay.replayed import replayed
 
     return replayed(measured.journal, settings, poses, measured.remembered)
 
@@ -156,7 +156,7 @@ def _decide(arguments: Arguments, measured: "Measurements", again: Again) -> Non
 
     from slam.output.claimed_folder import OUTPUTS, ClaimedFolder
     from slam.output.ending import Run, conclude
-    from slam.output.replay.finishing import poses_again
+    from slam.output.replay.replayed import poses_again
     from slam.output.run_folder import begin_outputs
 
     run, journal, settings = arguments.run, measured.journal, arguments.settings

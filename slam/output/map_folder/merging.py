@@ -3,9 +3,9 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, combinations
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,10 @@ from slam.loops.loop_closure import LoopCloser
 from slam.loops.saved_map import SavedMap
 from slam.loops.stage_clock import StageClock
 from slam.mapping.map_adjustment import adjust_with_loops, size_warning
-from slam.mapping.stored_map import side_by_side
 from slam.output.decision import Decision
-from slam.output.ledger.writing import renumbered
+from slam.output.map_folder.beside_each_other import beside_each_other, starts_of
 from slam.output.map_folder.folder import line_of
-from slam.types import IntArray, Link, LoopAttempt, SlamError
+from slam.types import IntArray, LoopAttempt, SlamError
 
 _FEW_LOOPS = 5  # that join a map; fewer are told
 
@@ -90,8 +89,8 @@ def merge_maps(
     """
     _check(maps, fingerprint(recognizer))
     config = config or Config()
-    names, starts = list(maps), _starts(maps.values())
-    whole = _beside_each_other(list(maps.values()))
+    names, starts = list(maps), starts_of(maps.values())
+    whole = beside_each_other(list(maps.values()))
     partners = None if pairs is None else _partners(names, pairs)
     back_end = _with_loops_between(whole, recognizer, config, progress, partners)
     frames = dict(enumerate(whole.frames.tolist()))
@@ -164,55 +163,6 @@ def _taken(one: SavedMap) -> set[tuple[float, bytes]]:
         (keyframe.timestamp_s, hashlib.sha256(embedding.tobytes()).digest())
         for keyframe, embedding in zip(one.keyframes, one.embeddings, strict=True)
     }
-
-
-def _starts(maps: Iterable[SavedMap]) -> IntArray:
-    """Return the number of each map's first keyframe, and of how many there are in all."""
-    return np.array([0, *accumulate(len(each.keyframes) for each in maps)])
-
-
-def _beside_each_other(maps: Sequence[SavedMap]) -> SavedMap:
-    """Return all maps as one that nothing joins: each is a segment, in the frame that it was in."""
-    starts = _starts(maps).tolist()
-    sessions = np.cumsum([0, *(int(each.sessions.max()) + 1 for each in maps)]).tolist()
-    numbered = list(zip(starts[:-1], maps, strict=True))
-    return SavedMap(
-        camera=maps[0].camera,
-        fingerprint=maps[0].fingerprint,
-        keyframes=tuple(
-            replace(
-                keyframe,
-                id=keyframe.id + start,
-                segment=segment,
-                camera=keyframe.camera or each.camera,
-            )
-            for segment, (start, each) in enumerate(numbered)
-            for keyframe in each.keyframes
-        ),
-        sessions=np.concatenate(
-            [each.sessions + first for first, each in zip(sessions[:-1], maps, strict=True)]
-        ),
-        frames=np.concatenate([each.frames for each in maps]),
-        embeddings=np.concatenate([each.embeddings for each in maps]),
-        is_new=np.concatenate([each.is_new for each in maps]),
-        links=tuple(
-            Link(link.ref_id + start, link.query_id + start, link.motion)
-            for start, each in numbered
-            for link in each.links
-        ),
-        loops=tuple(
-            replace(loop, ref_id=loop.ref_id + start, query_id=loop.query_id + start)
-            for start, each in numbered
-            for loop in each.loops
-        ),
-        attempts=tuple(
-            replace(one, query_id=one.query_id + start, match_id=one.match_id + start)
-            for start, each in numbered
-            for one in each.attempts
-        ),
-        the_map=side_by_side([each.the_map for each in maps]),
-        ledger=tuple(renumbered(line, start) for start, each in numbered for line in each.ledger),
-    )
 
 
 def _partners(names: Sequence[str], pairs: Collection[tuple[str, str]]) -> dict[int, IntArray]:

@@ -11,8 +11,8 @@ from slam.config import Config
 from slam.datasets import Sessions
 from slam.evaluation.drift import compare_drift
 from slam.output.journal import Header, Journal
-from slam.output.replay.finishing import replayed
 from slam.output.replay.measurements import Measurements, read_measurements, write_measurements
+from slam.output.replay.replayed import replayed
 from slam.result import SlamResult
 from slam.system import Slam
 from slam.tracking.tracked_frame import TrackedFrame

@@ -18,7 +18,7 @@ from slam.evaluation.stress.false_loops import CLUSTERS, SCATTERED, Places, fals
 from slam.evaluation.stress.images import IMAGE_STRESS
 from slam.evaluation.stress.odometry_noise import drift
 from slam.output.journal import Journal
-from slam.output.replay.finishing import replayed
+from slam.output.replay.replayed import replayed
 from slam.output.stress.clean_run import CleanRun, track
 from slam.output.stress.outcome import Outcome
 from slam.output.stress.stressors import CLEAN, ODOMETRY_NOISE

@@ -13,7 +13,7 @@ from slam.geometry import se3
 from slam.loops import loop_closure
 from slam.loops.loop_closure import LoopCloser
 from slam.output.comparison.runs import read_runs
-from slam.output.replay.finishing import ReplayedSlam
+from slam.output.replay.replayed import ReplayedSlam
 from slam.types import Rejection, RejectionReason, RelativePose
 
 NOTHING_IS_ALIKE = ("--loop.min-similarity", "1.0")

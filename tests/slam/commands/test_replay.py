@@ -184,7 +184,7 @@ def test_the_folder_it_stands_in_is_named_by_its_name(
     [(ValueError("bad numbers"), "makes no sense: ValueError"), (KeyboardInterrupt(), "interr")],
 )
 def test_of_a_replay_that_fails_nothing_is_left(whole, tmp_path, monkeypatch, capsys, error, told):
-    monkeypatch.setattr("slam.output.replay.finishing.ReplayedSlam.finish", failing(error))
+    monkeypatch.setattr("slam.output.replay.replayed.ReplayedSlam.finish", failing(error))
     (tmp_path / "out").mkdir()
     assert told in refusal(capsys, whole, "--out", tmp_path / "out")
     assert not list((tmp_path / "out").iterdir())

@@ -13,13 +13,13 @@ from slam.output import journal
 from slam.output.claimed_folder import JOURNAL
 from slam.output.journal import Header, JournalWriter, read_journal
 from slam.output.ledger.reading import read_ledger
-from slam.output.replay.finishing import replayed
 from slam.output.replay.measurements import (
     MEASUREMENTS,
     Measurements,
     read_measurements,
     write_measurements,
 )
+from slam.output.replay.replayed import replayed
 from slam.system import Slam
 from slam.types import Rejection, SlamError
 

@@ -5,7 +5,7 @@ import pytest
 from placerec.recognizers.gradients import GradientRecognizer
 from slam.config import Config
 from slam.output.journal import Header, JournalWriter, read_journal
-from slam.output.replay.finishing import replayed
+from slam.output.replay.replayed import replayed
 from slam.system import Slam
 from slam.system.finishing import NOT_ADJUSTED
 
