@@ -12,13 +12,12 @@ from slam.types import FloatArray, IntArray
 
 _ANCHOR_INFORMATION = 1e8
 # Where weights hardly changed, a step is found with the factors of an earlier one, applied up to so
-# many times; new ones may be so often before all motions are taken into them. In a small graph that
-# costs least.
+# many times; new ones may be so often before all motions are taken into them.
 _REPEATS, _MOST_REPEATS = 30, 2000
+_WORTH_REUSING = 500  # poses: with fewer of them new factors of everything cost least
 # What weighs less than such a share of the heaviest is left to repeats, the more of it the thicker
 # the factors would be: of so many blocks a pose they are thin.
 _SHARES, _THIN = (0.05, 0.1, 0.2, 0.4, 0.8), 20
-_WORTH_REUSING = 500
 # What is factorised is symmetric and positive definite: no row has to be exchanged for another.
 _POSITIVE = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
