@@ -88,8 +88,10 @@ class BlockMatrix:
         Of the motions those that weigh most, by (M,) weights, lead to the solution soon.
         """
         summed, right = self._summed(blocks), right.ravel()
+        if self._count < _WORTH_REUSING:
+            return self._factorised(summed).solve(right).reshape(-1, 6)
         solution = self._nearly(summed, right, rest, _REPEATS)
-        if solution is None and self._count >= _WORTH_REUSING:
+        if solution is None:
             self._factors = self._factorised(self._heaviest(blocks, weights))
             solution = self._nearly(summed, right, rest, _MOST_REPEATS)
         if solution is None:
@@ -147,7 +149,7 @@ class BlockMatrix:
         self, summed: FloatArray, right: FloatArray, rest: float, repeats: int
     ) -> FloatArray | None:
         """Return the solution if the factors of a matrix like it lead there soon, else None."""
-        if self._factors is None or self._count < _WORTH_REUSING:
+        if self._factors is None:
             return None
         parts = (summed, self._columns, self._starts)
         matrix = scipy.sparse.bsr_array(parts, shape=(len(right), len(right)))
