@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from slam.config import MapConfig
 from slam.geometry import se3
+from slam.output.live.archetypes import PLOTS, blueprint, jpeg, lines, pinhole, transform
 from slam.output.point_cloud import fuse
 from slam.result import SlamResult
 from slam.system import Slam
@@ -27,13 +27,11 @@ from slam.types import (
     Rejection,
 )
 
-_JPEG_QUALITY = 75
 _DEPTH_STRIDE = 2  # of the preview: depth compresses badly
 _UNITS_PER_M = 1000.0
 _PIECE = 64  # poses: what is drawn anew with each frame
 _POINTS = 200  # of a keyframe, for the map on the way
 _MOST_ON_THE_WAY, _MOST_IN_THE_END = 20_000, 200_000  # points of the map
-_PLOTS = ("shift_mm", "covered_percent", "tracking_ms")
 _LIVE, _ODOMETRY, _CORRECTED = (150, 150, 150), (230, 130, 30), (40, 120, 240)
 _ACCEPTED, _REJECTED = (40, 170, 80), (220, 50, 50)
 
@@ -68,11 +66,11 @@ class Scene:
     def begin(self) -> None:
         """Log what does not change."""
         for recording in self._recordings():
-            recording.send_blueprint(_blueprint())
+            recording.send_blueprint(blueprint())
         self._log("world", rr.ViewCoordinates.RDF, static=True)
         for name, scale in (("colour", PREVIEW_SCALE), ("depth", PREVIEW_SCALE / _DEPTH_STRIDE)):
-            self._log(f"world/camera/{name}", _pinhole(self._camera, scale), static=True)
-        for name in _PLOTS:
+            self._log(f"world/camera/{name}", pinhole(self._camera, scale), static=True)
+        for name in PLOTS:
             self._log(f"plots/{name}", rr.SeriesLines(names=name.replace("_", ", ")), static=True)
 
     def start_session(self) -> None:
@@ -139,7 +137,7 @@ class Scene:
         self._log("log", rr.TextLog(text, level=level))
 
     def _log_images(self, shown: Frame) -> None:
-        self._log("world/camera/colour", _jpeg(shown.rgb))
+        self._log("world/camera/colour", jpeg(shown.rgb))
         depth = np.nan_to_num(shown.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE]) * _UNITS_PER_M
         image = np.clip(depth, 0.0, 65535.0).astype(np.uint16)
         self._log("world/camera/depth", rr.DepthImage(image, meter=_UNITS_PER_M))
@@ -159,7 +157,7 @@ class Scene:
         T_world_cam, T_first_cam = (T @ tracked.T_odom_cam for T in (T_world_odom, T_first))
         shift_m = np.linalg.norm(T_world_cam[:3, 3] - T_first_cam[:3, 3])
         self._log_number("shift_mm", 1000.0 * float(shift_m))
-        self._log("world/camera", _transform(T_world_cam))
+        self._log("world/camera", transform(T_world_cam))
         self._piece.append(T_world_cam[:3, 3])
         self._log_path(f"live/{self._pieces:04d}", [np.array(self._piece)], _LIVE)
         if len(self._piece) >= _PIECE:
@@ -185,7 +183,7 @@ class Scene:
             self._tell(_verdict(attempt), level)
             if attempt.verification:
                 colour = _ACCEPTED if is_accepted else _REJECTED
-                self._log("world/loop", _lines([attempt], T_world_kf, colour))
+                self._log("world/loop", lines([attempt], T_world_kf, colour))
             if is_accepted:
                 self._log_matches(attempt)
 
@@ -201,7 +199,7 @@ class Scene:
         agree = verification.inlier_mask
         ends, agree = np.concatenate([ends[~agree], ends[agree]]), np.sort(agree)
         colours = np.where(agree[:, None], _ACCEPTED, _REJECTED)
-        self._log("matches", _jpeg(np.hstack([match, query])))
+        self._log("matches", jpeg(np.hstack([match, query])))
         self._log("matches/pairs", rr.LineStrips2D(ends, colors=colours.astype(np.uint8)))
 
     def _log_correction(self) -> None:
@@ -260,7 +258,7 @@ class Scene:
         for name, is_accepted in (("accepted", True), ("rejected", False)):
             some = [each for each in looked_at if (each.rejection is None) == is_accepted]
             colour = _ACCEPTED if is_accepted else _REJECTED
-            self._log(f"world/loops/{name}", _lines(some, T_world_kf, colour))
+            self._log(f"world/loops/{name}", lines(some, T_world_kf, colour))
 
     def _log_map(self, points_m: FloatArray, colours: NDArray[Any]) -> None:
         self._log("world/map", rr.Points3D(points_m, colors=colours.astype(np.uint8)))
@@ -278,18 +276,6 @@ def _seen(keyframe: Keyframe) -> _Seen:
     return _Seen(shown, segment, keyframe.T_odom_cam, points_m[some].astype(np.float64), colours)
 
 
-def _lines(
-    attempts: Sequence[LoopAttempt],
-    T_world_kf: Mapping[int, FloatArray],
-    colour: tuple[int, int, int],
-) -> Any:
-    """Return lines between the keyframes of loop candidates, as far as these have a place."""
-    pairs = [(each.match_id, each.query_id) for each in attempts]
-    placed = [pair for pair in pairs if all(k in T_world_kf for k in pair)]
-    strips = [[T_world_kf[k][:3, 3].astype(np.float32) for k in pair] for pair in placed]
-    return rr.LineStrips3D(strips, colors=[colour])
-
-
 def _verdict(attempt: LoopAttempt) -> str:
     pair = f"{attempt.query_id} sees {attempt.match_id}, similarity {attempt.similarity:.3f}"
     if attempt.rejection:
@@ -300,30 +286,3 @@ def _verdict(attempt: LoopAttempt) -> str:
 
 def _why(rejection: Rejection) -> str:
     return f"{rejection.reason.value} ({rejection.measured:.3g}, needed {rejection.needed:.3g})"
-
-
-def _jpeg(rgb: NDArray[np.uint8]) -> Any:
-    return rr.Image(rgb).compress(jpeg_quality=_JPEG_QUALITY)
-
-
-def _transform(T_world_cam: FloatArray) -> Any:
-    return rr.Transform3D(translation=T_world_cam[:3, 3], mat3x3=T_world_cam[:3, :3])
-
-
-def _pinhole(camera: Camera, scale: float) -> Any:
-    """Return the camera for images of another scale, whose pixels are numbered by their middles."""
-    matrix = camera.matrix
-    matrix[:2] *= scale
-    size = (int(camera.width * scale), int(camera.height * scale))
-    return rr.Pinhole(image_from_camera=matrix, resolution=size, camera_xyz=rr.ViewCoordinates.RDF)
-
-
-def _blueprint() -> Any:
-    beside = rrb.Vertical(
-        rrb.Spatial2DView(origin="world/camera/colour", name="camera"),
-        rrb.Spatial2DView(origin="matches", name="the last loop"),
-        rrb.Tabs(*(rrb.TimeSeriesView(origin=f"plots/{each}") for each in _PLOTS), active_tab=0),
-        rrb.TextLogView(origin="log", name="loops"),
-    )
-    space = rrb.Spatial3DView(origin="world", name="path and map")
-    return rrb.Blueprint(rrb.Horizontal(space, beside, column_shares=[2, 1]), collapse_panels=True)
