@@ -6,7 +6,7 @@ import threading
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
-from typing import Any, NoReturn, Protocol, cast
+from typing import Any, NoReturn, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from placerec.recognizer import PlaceRecognizer, with_members
 Embeddings = NDArray[np.float32]
 Similarities = NDArray[np.float32]
 
+_Answer = TypeVar("_Answer")
 MAX_LENGTH_ERROR = 1e-3
 _LOOKS_BACK = 32
 _MAX_BEYOND_ONE = 1e-3
@@ -199,12 +200,23 @@ class CheckedRecognizer:
             RecognizerError: the recognizer failed, or its answer is not finite, not of the shape
                 as before, or not the unit vector that it must be.
         """
-        try:
-            answer = self._ask(lambda: self._recognizer.embed(image))
-        except (Exception, SystemExit) as error:
-            raise RecognizerError(f"{self._title} failed: {cause_of(error)}") from error
-        values = self._array(answer)
-        return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
+        return self._embedding(self._answer(lambda: self._recognizer.embed(image)))
+
+    def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.float32]]:
+        """Return the embeddings of (H, W, 3) uint8 RGB images, as `embed` does, of any sizes.
+
+        They are made at once where the recognizer has a method `embed_many(images)` for that.
+
+        Raises:
+            RecognizerError: as for `embed`, or there are not as many embeddings as images.
+        """
+        at_once: object = getattr(self._recognizer, "embed_many", None)
+        if not callable(at_once):
+            return [self.embed(image) for image in images]
+        answer = self._answer(lambda: list(at_once(images)))
+        if len(answer) != len(images):
+            self._refuse(f"{len(answer)} embeddings of {len(images)} images")
+        return [self._embedding(each) for each in answer]
 
     def compare(self, queries: Embeddings, references: Embeddings) -> Similarities:
         """Return (Q, R) float32 similarities as a `Comparer` does.
@@ -239,6 +251,16 @@ class CheckedRecognizer:
         if flaw := flaw_in_scores(answer, len(candidates)):
             self._refuse(flaw)
         return np.asarray(answer, np.float64)
+
+    def _answer(self, question: Callable[[], _Answer]) -> _Answer:
+        try:
+            return cast(_Answer, self._ask(question))
+        except (Exception, SystemExit) as error:
+            raise RecognizerError(f"{self._title} failed: {cause_of(error)}") from error
+
+    def _embedding(self, answer: object) -> NDArray[np.float32]:
+        values = self._array(answer)
+        return self._unit_vector(values) if self._comparer is COSINES else values.astype(np.float32)
 
     def _array(self, answer: object) -> NDArray[np.float64]:
         try:

@@ -5,6 +5,7 @@ import hashlib
 import io
 import struct
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
@@ -18,12 +19,15 @@ from numpy.typing import NDArray
 from placerec.certificate import own_fingerprint
 from placerec.checked_recognizer import CheckedRecognizer
 from placerec.datasets import PlaceDataset
+from placerec.device import CPU, device_asked_for
 from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress, cache_folder, write_atomically
 from placerec.recognizer import PlaceRecognizer
 
 _LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch", "onnxruntime")
 """With another version of these, the last digits of an embedding may be others."""
+_AT_ONCE = 32
+"""Images that a device takes at once."""
 _STARTED_S = time.time()
 _FORMAT = "seconds, time, npy"
 _FACTS = struct.Struct("<dd")
@@ -58,6 +62,7 @@ class EmbeddingCache:
         if fingerprint is None:
             raise RecognizerError(f"{kind.__name__!r} has no fingerprint: str")
         made_by = [f"{name} {installed_version(name) or 'unknown'}" for name in _LIBRARIES]
+        made_by += [] if device_asked_for() == CPU else [device_asked_for()]
         facts = [_FORMAT, fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by]
         key = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:32]
         self._folder = (folder or cache_folder()) / "embeddings" / key
@@ -125,29 +130,43 @@ def embed_dataset(
 ) -> EmbeddedImages:
     """Embed a dataset's images, those in the cache without looking at them again.
 
+    On the CPU one by one, as in a run; on another device several at once, and each then has taken
+    an equal part of their time.
+
     Raises:
         RecognizerError: the recognizer fails or breaks its protocol, or an image cannot be read.
     """
     checked = CheckedRecognizer(recognizer)
-    vectors, seconds, days = [], [], []
-    for i, path in enumerate(dataset.paths):
-        kept = cache.find(path) if cache else None
-        if kept is None:
-            image, start = dataset[i], perf_counter()
-            vector = checked.embed(image)
-            took_s = perf_counter() - start
-            if cache:
-                cache.keep(path, vector, took_s)
-        else:
-            vector, took_s, made_on = kept
-            days += [made_on] if made_on else []
-        vectors.append(vector)
-        seconds.append(took_s)
+    at_once = 1 if device_asked_for() == CPU else _AT_ONCE
+    every: list[KeptEmbedding] = []
+    for first in range(0, len(dataset), at_once):
+        numbers = range(first, min(first + at_once, len(dataset)))
+        kept = [cache.find(dataset.paths[i]) if cache else None for i in numbers]
+        anew = [i for i, found in zip(numbers, kept, strict=True) if found is None]
+        made = iter(_embedded(checked, [dataset[i] for i in anew]))
+        for i, found in zip(numbers, kept, strict=True):
+            each = found or next(made)
+            if cache and not found:
+                cache.keep(dataset.paths[i], each.vector, each.seconds)
+            every.append(each)
         if progress:
-            progress(i + 1, len(dataset))
+            progress(len(every), len(dataset))
+    vectors, seconds, days = zip(*every, strict=True)
     if len({vector.shape for vector in vectors}) > 1:
         raise RecognizerError(
             "embeddings kept from before have another shape; change the recognizer's fingerprint "
             "whenever its embeddings change"
         )
-    return EmbeddedImages(np.stack(vectors), np.array(seconds), min(days, default=None))
+    earlier = [day for day in days if day]
+    return EmbeddedImages(np.stack(vectors), np.array(seconds), min(earlier, default=None))
+
+
+def _embedded(
+    checked: CheckedRecognizer, images: Sequence[NDArray[np.uint8]]
+) -> list[KeptEmbedding]:
+    """Return what is made of images just now, of one by `embed`, which is how a run asks."""
+    start = perf_counter()
+    is_one = len(images) < 2
+    vectors = [checked.embed(each) for each in images] if is_one else checked.embed_many(images)
+    took_s = (perf_counter() - start) / max(1, len(images))
+    return [KeptEmbedding(vector, took_s, None) for vector in vectors]

@@ -21,6 +21,7 @@ from placerec.networks.pretrained import (
     weights_folders,
 )
 from placerec.networks.threads import one_thread
+from placerec.networks.torch_device import on_device_asked_for
 from placerec.recognizers.fitted_file import FittedRecognizer
 
 FloatArray = NDArray[np.float32]
@@ -51,7 +52,9 @@ class Layer:
 
 
 class FeatureMaps:
-    """Images in, maps out; on the CPU, and safe to use by threads.
+    """Images in, maps out; safe to use by threads.
+
+    They are computed on the CPU, unless $LOOPCLOSE_DEVICE names something else.
 
     Attributes:
         title: the layer, without its weights.
@@ -64,11 +67,10 @@ class FeatureMaps:
         """Load a layer with a file of weights.
 
         Raises:
-            RecognizerError: the weights cannot be used.
+            RecognizerError: the weights cannot be used, or there is no such device.
         """
         network = PlaceNetwork(layer.trunk, 1, block=layer.block, size_px=layer.size_px)
         load_pretrained(network, path)
-        self._network = network.eval()
         self.title = layer.title
         self.weights = f"{layer.title}, published weights {path.name}"
         digest = hashlib.sha256(repr((layer.title, network.preprocessing)).encode())
@@ -77,6 +79,7 @@ class FeatureMaps:
             digest.update(value.contiguous().numpy().tobytes())
         self.fingerprint = f"sha256:{digest.hexdigest()}"
         self.facts = {"layer": self.title, "weights": self.fingerprint}
+        self._network, self._device = on_device_asked_for(network.eval())
 
     def __call__(self, image: NDArray[np.uint8]) -> FloatArray:
         """Return the (C, h, w) float32 maps of a uint8 RGB image of any size.
@@ -85,8 +88,8 @@ class FeatureMaps:
             RecognizerError: it is no such image.
         """
         with one_thread(), torch.inference_mode():
-            maps = self._network.features(self._network.prepare([image]))
-        return np.ascontiguousarray(maps[0].numpy(), dtype=np.float32)
+            maps = self._network.features(self._network.prepare([image]).to(self._device))
+        return np.ascontiguousarray(maps[0].cpu().numpy(), dtype=np.float32)
 
     def of_some(self, images: Sequence[NDArray[np.uint8]], at_most: int) -> Iterator[FloatArray]:
         """Yield the maps of some images, spread evenly over all."""

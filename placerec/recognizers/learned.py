@@ -18,6 +18,7 @@ from placerec.certificate import (
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, Trunk
 from placerec.networks.threads import one_thread
+from placerec.networks.torch_device import on_device_asked_for
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
 from placerec.recognizers.fitted_file import NETWORKS_TRAINED_ON, shipped
 
@@ -26,7 +27,9 @@ _FRAMES_PER_PASS = 32
 
 
 class LearnedRecognizer:
-    """A network trained with the multi-constraint loss; on the CPU, and safe to use by threads.
+    """A network trained with the multi-constraint loss; safe to use by threads.
+
+    It is run on the CPU, unless $LOOPCLOSE_DEVICE names something else.
 
     Attributes:
         network: the trained network.
@@ -43,14 +46,16 @@ class LearnedRecognizer:
         """Read the weights; the trunks are those they may be made with, one's own included.
 
         Raises:
-            RecognizerError: the weights cannot be read, are damaged, or do not fit.
+            RecognizerError: the weights cannot be read, are damaged, or do not fit, or there is no
+                such device.
         """
         if path == DEFAULT_WEIGHTS and not path.exists():
             raise RecognizerError(
                 "no trained weights are installed; name a file made by `placerec train`, or "
                 f"another recognizer: {path}"
             )
-        self.network, self.min_similarity = load_weights(path, trunks)
+        network, self.min_similarity = load_weights(path, trunks)
+        self.network, self._device = on_device_asked_for(network)
         self._path = path
         is_default = path == DEFAULT_WEIGHTS
         title = "those of the package" if is_default else path.name
@@ -85,17 +90,21 @@ class LearnedRecognizer:
         Raises:
             RecognizerError: it is no such image.
         """
-        with one_thread(), torch.inference_mode():
-            return np.asarray(self.network(self.network.prepare([image]))[0], np.float32)
+        with one_thread():
+            row: NDArray[np.float32] = self._embedded([image])[0]
+            return row
 
     def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Return the (N, D) float32 embeddings of N images, several to a forward pass."""
         rows = [np.empty((0, self.network.dimension), np.float32)]
-        with torch.inference_mode():
-            for start in range(0, len(images), _FRAMES_PER_PASS):
-                frames = self.network.prepare(images[start : start + _FRAMES_PER_PASS])
-                rows.append(self.network(frames).numpy())
+        for start in range(0, len(images), _FRAMES_PER_PASS):
+            rows.append(self._embedded(images[start : start + _FRAMES_PER_PASS]))
         return np.concatenate(rows)
+
+    def _embedded(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
+        with torch.inference_mode():
+            rows = self.network(self.network.prepare(images).to(self._device))
+            return np.asarray(rows.cpu(), np.float32)
 
     def embed_place(self, frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
         """Return the (D,) float32 unit-length embedding of a place seen in consecutive frames.

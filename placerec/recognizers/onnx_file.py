@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.certificate import Certificate, certificate_beside, certificate_path
+from placerec.device import CPU, device_asked_for
 from placerec.errors import RecognizerError
 from placerec.files import MOST_ONNX_BYTES, read_bytes
 from placerec.networks.onnx_settings import OnnxSettings, read_settings, settings_path
@@ -33,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 class OnnxRecognizer:
-    """A network from images to vectors, read from an ONNX file; on the CPU, on one thread.
+    """A network from images to vectors, read from an ONNX file; on the device asked for.
 
     Its input is (N, 3, H, W), or (N, H, W, 3), of floats; its output (N, D), brought to unit length
     here. What it cannot know is taken from `OnnxSettings`, or assumed with a warning. A file can
@@ -69,7 +70,8 @@ class OnnxRecognizer:
         self._output = output_of(opened.outputs, settings.output, path)
         self.dimension = self._try_out()
         side = f"{self.preprocessing.width_px}x{self.preprocessing.height_px} px"
-        self.weights = f"{path.name} at {side}, by onnxruntime"
+        where = "" if device_asked_for() == CPU else f" on {device_asked_for()}"
+        self.weights = f"{path.name} at {side}, by onnxruntime{where}"
         self.min_similarity = self._threshold(settings)
 
     @cached_property

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from placerec.device import CPU, device_asked_for, no_such_device
 from placerec.errors import RecognizerError, cause_of
 from placerec.files import is_file
 from placerec.networks.onnx_settings import settings_path
@@ -55,10 +56,10 @@ class Input(NamedTuple):
 
 
 def open_session(path: Path) -> Opened:
-    """Open a network, on the CPU and on one thread.
+    """Open a network, on the CPU and on one thread or on the device asked for.
 
     Raises:
-        RecognizerError: onnxruntime is not installed, or cannot open the file.
+        RecognizerError: onnxruntime is not installed, cannot open the file, or has no such device.
     """
     try:
         import onnxruntime
@@ -72,13 +73,16 @@ def open_session(path: Path) -> Opened:
     options.use_deterministic_compute = True
     options.enable_cpu_mem_arena = False  # it keeps more than one image after another needs
     options.log_severity_level = 4  # what it prints by itself comes back as an exception, too
+    providers = _providers(onnxruntime.get_available_providers())
     try:
         session = onnxruntime.InferenceSession(
             path,
             options,
-            providers=["CPUExecutionProvider"],
+            providers=providers,
             enable_fallback=0,  # to the same once more, which it would print
         )
+        if session.get_providers()[0] != providers[0][0]:  # its libraries are not on this machine
+            raise no_such_device(device_asked_for(), "onnxruntime", "it does not start there")
         # Asked here, because the names of a damaged file may be no text.
         return Opened(
             session,
@@ -88,8 +92,23 @@ def open_session(path: Path) -> Opened:
                 for values in (session.get_inputs(), session.get_outputs())
             ),
         )
+    except RecognizerError:
+        raise
     except Exception as error:  # onnxruntime's are of no kind of their own
         raise RecognizerError(f"onnxruntime cannot open it: {why(error)}: {path}") from error
+
+
+def _providers(available: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
+    """Return what onnxruntime calls the device asked for, and the CPU for what that cannot do."""
+    device = device_asked_for()
+    kind, _, number = device.partition(":")
+    of_kind = [each for each in available if each.lower() == f"{kind}executionprovider"]
+    if not of_kind:
+        others = ", ".join(each.removesuffix("ExecutionProvider").lower() for each in available)
+        raise no_such_device(device, "onnxruntime", f"this build has {others}")
+    options = {"device_id": number} if number else {}
+    rest = [] if device == CPU else [("CPUExecutionProvider", dict[str, str]())]
+    return [(of_kind[0], options), *rest]
 
 
 def why(error: Exception) -> str:

@@ -103,6 +103,32 @@ def test_bad_answer_is_one_line(answer, told, error_of):
     assert any(part in message for part in told.split("|"))
 
 
+class AtOnce(Answers):
+    """Answers all in one go, and one answer more."""
+
+    def embed_many(self, images):
+        return [self.embed(image) for image in images] + self.answers
+
+
+@pytest.mark.parametrize("kind", [Answers, AtOnce])
+def test_many_images_are_checked_as_one_is(kind, error_of):
+    good, bad = np.array([0.6, 0.8]), np.array([0.6, 0.9])
+    embeddings = CheckedRecognizer(kind(good, good)).embed_many([IMAGE, IMAGE])
+    np.testing.assert_allclose(embeddings, [good, good])
+    assert [each.dtype for each in embeddings] == [np.float32, np.float32]
+    checked = CheckedRecognizer(kind(good, bad), "mine")
+    assert "length 1.08167" in error_of(checked.embed_many, [IMAGE, IMAGE])
+    failing = CheckedRecognizer(kind(good, RuntimeError("boom")), "mine")
+    assert "recognizer 'mine' failed: RuntimeError: boom" in error_of(
+        failing.embed_many, [IMAGE, IMAGE]
+    )
+
+
+def test_as_many_embeddings_as_images(error_of):
+    checked = CheckedRecognizer(AtOnce(np.array([1.0]), np.array([1.0])))
+    assert "2 embeddings of 1 images" in error_of(checked.embed_many, [IMAGE])
+
+
 def test_changing_dimension_is_refused(error_of):
     checked = CheckedRecognizer(Answers(np.array([1.0, 0.0]), np.array([1.0, 0.0, 0.0])))
     checked.embed(IMAGE)

@@ -156,6 +156,42 @@ def test_embeddings_are_in_the_order_of_the_images_and_timed(dataset):
     assert seen == [(i, 6) for i in range(1, 7)]
 
 
+class BrightnessAtOnce(Brightness):
+    """The same, of several images at once."""
+
+    def embed_many(self, images):
+        self.calls -= len(images) - 1  # all of them are one
+        return np.array([self.embed(image) for image in images])
+
+
+def test_a_device_takes_images_at_once_those_that_are_not_kept(dataset, tmp_path, monkeypatch):
+    one_by_one = embed_dataset(Brightness(), dataset).embeddings
+    monkeypatch.setenv("LOOPCLOSE_DEVICE", "cuda")
+    recognizer, seen = BrightnessAtOnce(), []
+    cache = EmbeddingCache(recognizer, tmp_path / "cache")
+    cache.keep(dataset.paths[1], recognizer.embed(dataset[1]), 0.25)
+    embedded = embed_dataset(recognizer, dataset, cache, lambda *done: seen.append(done))
+    assert np.array_equal(embedded.embeddings, one_by_one)
+    assert recognizer.calls == 2  # what was kept, and the others
+    assert embedded.seconds[1] == 0.25
+    assert len({*embedded.seconds}) == 2
+    assert seen == [(6, 6)]
+    for path, vector in zip(dataset.paths, one_by_one, strict=True):
+        assert np.array_equal(cache.find(path).vector, vector)
+
+
+def test_on_the_cpu_images_go_one_by_one(dataset):
+    recognizer = BrightnessAtOnce()
+    embed_dataset(recognizer, dataset)
+    assert recognizer.calls == len(dataset)
+
+
+def test_what_another_device_made_is_not_found(tmp_path, image, monkeypatch):
+    EmbeddingCache(Marked(), tmp_path).keep(image, VECTOR, 0.25)
+    monkeypatch.setenv("LOOPCLOSE_DEVICE", "cuda")
+    assert EmbeddingCache(Marked(), tmp_path).find(image) is None
+
+
 def test_the_second_time_nothing_is_embedded(dataset, cache, later_run):
     first, second = Brightness(), Brightness()
     fresh = embed_dataset(first, dataset, cache)

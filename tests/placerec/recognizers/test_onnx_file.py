@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from placerec.certificate import certificate_of, write_certificate
@@ -54,6 +55,47 @@ def test_images_at_once_are_as_images_one_by_one(tmp_path, write_onnx):
         one_by_one = np.array([recognizer.embed(image) for image in images])
         np.testing.assert_allclose(recognizer.embed_many(images), one_by_one, atol=1e-5)
         assert recognizer.embed_many([]).shape == (0, 36)
+
+
+def test_a_device_that_is_not_there_is_one_line(network, monkeypatch, error_of):
+    monkeypatch.setenv("LOOPCLOSE_DEVICE", "abacus:1")
+    told = error_of(load, str(network))
+    assert told.startswith("LOOPCLOSE_DEVICE=abacus:1: onnxruntime cannot use it: this build has ")
+    assert "cpu" in told
+
+
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_a_device_that_does_not_start_is_one_line(network, monkeypatch, error_of):
+    # The build has it, the machine has not: onnxruntime goes on without it, and tells nobody.
+    providers = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: providers)
+    monkeypatch.setenv("LOOPCLOSE_DEVICE", "cuda")
+    told = error_of(load, str(network))
+    assert told == "LOOPCLOSE_DEVICE=cuda: onnxruntime cannot use it: it does not start there"
+
+
+def test_it_says_where_it_runs(network, monkeypatch):
+    class Session:
+        def __init__(self, path, options, providers, **others):
+            self.asked, self.session = providers, RealSession(path, options)
+
+        def get_providers(self):
+            return [name for name, _ in self.asked]
+
+        def __getattr__(self, name):
+            return getattr(self.session, name)
+
+    RealSession = onnxruntime.InferenceSession
+    providers = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: providers)
+    monkeypatch.setattr("onnxruntime.InferenceSession", Session)
+    monkeypatch.setenv("LOOPCLOSE_DEVICE", "cuda:1")
+    recognizer = load(str(network))
+    assert recognizer.weights == "net.onnx at 32x24 px, by onnxruntime on cuda:1"
+    assert recognizer._session.asked == [
+        ("CUDAExecutionProvider", {"device_id": "1"}),
+        ("CPUExecutionProvider", {}),
+    ]
 
 
 def test_a_file_beside_it_wins_over_the_metadata(network):
