@@ -150,9 +150,19 @@ def _work(typed: list[str]) -> int:
     # The heavy libraries are loaded from here on, so that --help and typing errors answer at once.
     from placerec.compiled import telling_of_compiling
 
-    with telling_of_compiling(lambda: note(_COMPILING)):
-        (_finish if told.finish else _run)(told)
+    gc.disable()  # what libraries load is no garbage, and would be looked through again and again
+    try:
+        with telling_of_compiling(lambda: note(_COMPILING)):
+            (_finish if told.finish else _run)(told)
+    finally:
+        gc.enable()
     return 0
+
+
+def _all_is_loaded() -> None:
+    """Look for garbage from now on, but never in what there is, which would hold up a frame."""
+    gc.freeze()
+    gc.enable()
 
 
 def _run(arguments: Arguments) -> None:
@@ -186,9 +196,7 @@ def _run(arguments: Arguments) -> None:
         poses, settings = given_poses(arguments.odometry, sessions, arguments.settings)
         earlier = load_map(arguments.load, recognizer, settings) if arguments.load else None
         claimed.refuse_foreign(OUTPUTS)
-        # Looking through all that libraries loaded, for garbage, would hold up tracking for 80 ms.
-        gc.collect()
-        gc.freeze()
+        _all_is_loaded()
         slam = Slam(
             sessions.camera,
             recognizer,
@@ -241,6 +249,7 @@ def _finish(arguments: Arguments) -> None:
         raise SlamError("--live, --rrd and --map mesh show images, and a killed run has none")
     if arguments.save or arguments.load:
         raise SlamError("--save and --load need the images of a run, and a killed run has none")
+    _all_is_loaded()
     with ClaimedFolder(Path(arguments.sequence)) as claimed:
         if claimed.is_complete:
             note(f"the run in this folder is complete: {claimed.path}")

@@ -5,7 +5,7 @@ import ctypes
 from contextlib import suppress
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -2, -3, -8  # of malloc.h
-_LARGE_BYTES = 4 << 20  # an image is smaller
+_LARGE_BYTES = 8 << 20  # an image is smaller, and what the recognizer makes of it on the way
 
 
 def share_between_threads() -> None:
