@@ -57,22 +57,27 @@ def voxel_numbers(points_m: FloatArray, voxel_m: float) -> NDArray[np.uint64]:
 @compiled
 def add_to_voxels(
     numbers: NDArray[np.uint64],
-    values: FloatArray,
+    points_m: FloatArray,
+    values: NDArray[np.float32],
     table: NDArray[np.int32],
     known: NDArray[np.uint64],
-    sums: FloatArray,
+    sums_m: FloatArray,
+    sums: NDArray[np.float32],
     count: int,
 ) -> int:
-    """Add (N, V) values to the sums of the voxels with (N,) numbers, and return how many those are.
+    """Add (N, 3) points and (N, V) values to the sums of the voxels with (N,) numbers.
 
-    Of the (R,) known numbers and (R, V) sums `count` are taken. They and the table have room for
-    all of the N to be new.
+    Of the (R,) known numbers, (R, 3) and (R, V) sums `count` are taken: returns how many are now.
+    They and the table have room for all of the N to be new.
     """
     for i in range(len(numbers)):
         slot = _slot_of(table, known, numbers[i])
         if table[slot] == _EMPTY:
             table[slot], known[count] = count, numbers[i]
             count += 1
+        row = table[slot]
+        for axis in range(3):
+            sums_m[row, axis] += points_m[i, axis]
         for column in range(values.shape[1]):
-            sums[table[slot], column] += values[i, column]
+            sums[row, column] += values[i, column]
     return count

@@ -4,7 +4,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,9 @@ from slam.types import PREVIEW_SCALE, Camera, FloatArray
 _STRIDE = 2  # every other preview pixel is dense enough for the usual voxels
 # A room seen from 1.5 m away is merged by the centimetre, and nothing further than 4 m is in it.
 _VOXEL, _MAX_DEPTH = 1.0 / 150.0, 2.5  # of the median depth
-_ROOM = 20_000  # for voxels, to begin with
+# For voxels, to begin with: of one view, and of a map. What is large takes up memory only as it is
+# filled, and grows without being copied; what was small at first would leave all it grew out of.
+_ROOM, _ROOM_OF_MAP = 20_000, 600_000
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class PointCloud:
     """
 
     points_m: FloatArray  # (N, 3)
-    colours: NDArray[np.floating[Any]]
+    colours: NDArray[np.float32]
 
     def thinned(self, voxel_m: float) -> "PointCloud":
         """Return the means of the points and colours in each voxel."""
@@ -43,34 +44,41 @@ class PointCloud:
 class VoxelMeans:
     """The means of points and colours in voxels, which a hash table finds, however many come."""
 
-    def __init__(self, voxel_m: float) -> None:
+    def __init__(self, voxel_m: float, room: int = _ROOM) -> None:
+        """Begin with room for so many."""
         self._voxel_m = voxel_m
         self._count = 0
-        self._numbers = np.zeros(_ROOM, np.uint64)
-        self._sums = np.zeros((_ROOM, 7))  # of points, of colours, and how many
+        self._numbers = np.zeros(room, np.uint64)
+        self._sums_m = np.zeros((room, 3))
+        self._sums = np.zeros((room, 4), np.float32)  # of colours, and how many
         self._table = hash_table(self._numbers[:0], _ROOM)
 
     def add(self, cloud: PointCloud) -> None:
         """Add a cloud's points."""
-        most = self._count + len(cloud.points_m)
-        if most > len(self._numbers):
-            self._make_room(most + most // 8)
-        numbers = voxel_numbers(np.ascontiguousarray(cloud.points_m), self._voxel_m)
-        each = np.column_stack([cloud.points_m, cloud.colours, np.ones(len(numbers))])
-        self._count = add_to_voxels(
-            numbers, each, self._table, self._numbers, self._sums, self._count
-        )
+        self._make_room(self._count + len(cloud.points_m))
+        points_m = np.ascontiguousarray(cloud.points_m)
+        numbers = voxel_numbers(points_m, self._voxel_m)
+        each = np.column_stack([cloud.colours, np.ones(len(numbers), np.float32)])
+        kept = (self._table, self._numbers, self._sums_m, self._sums)
+        self._count = add_to_voxels(numbers, points_m, each, *kept, self._count)
 
-    def _make_room(self, room: int) -> None:
-        self._numbers.resize(room)  # in place, where the system has room behind it
-        self._sums.resize((room, 7))
-        self._table = hash_table(self._numbers[: self._count], room)
+    def _make_room(self, most: int) -> None:
+        if most > len(self._numbers):
+            room = most + most // 8
+            self._numbers.resize(room)  # in place, where the system has room behind it
+            self._sums_m.resize((room, 3))
+            self._sums.resize((room, 4))
+        if 2 * most > len(self._table):
+            del self._table  # so that there are never two
+            self._table = hash_table(self._numbers[: self._count], most)
 
     def cloud(self) -> PointCloud:
         """Return the means, in the order of the first points; nothing can be added any more."""
-        sums = self._sums[: self._count]
-        sums[:, :6] /= sums[:, 6:]
-        return PointCloud(sums[:, :3], sums[:, 3:6])
+        points_m, sums = self._sums_m[: self._count], self._sums[: self._count]
+        count = sums[:, 3:]
+        points_m /= count
+        sums[:, :3] /= count
+        return PointCloud(points_m, sums[:, :3])
 
 
 def sizes(result: SlamResult, config: MapConfig) -> tuple[float, float]:
@@ -84,7 +92,7 @@ def sizes(result: SlamResult, config: MapConfig) -> tuple[float, float]:
 def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
     """Return one coloured cloud, metres, world frame: the mean of the points in each voxel."""
     voxel_m, max_depth_m = sizes(result, config)
-    means = VoxelMeans(voxel_m)
+    means = VoxelMeans(voxel_m, _ROOM_OF_MAP)
     for cloud in _clouds(result, voxel_m, max_depth_m):
         means.add(cloud)
     return means.cloud()

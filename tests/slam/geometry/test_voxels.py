@@ -15,16 +15,21 @@ def test_sums_are_those_of_all_values_with_one_number_however_the_numbers_fall()
     rng = np.random.default_rng(0)
     for spread in (1, 2**20, 2**56):  # low bits alone, or high ones alone, tell numbers apart
         numbers = rng.integers(0, 200, 5000).astype(np.uint64) * np.uint64(spread)
-        values = rng.normal(size=(5000, 2))
-        known, sums = np.zeros(5000, np.uint64), np.zeros((5000, 2))
-        table = hash_table(known[:0], 5000)
-        half = add_to_voxels(numbers[:2500], values[:2500], table, known, sums, 0)
-        table = hash_table(known[:half], 5000)  # made anew of what is known
-        count = add_to_voxels(numbers[2500:], values[2500:], table, known, sums, half)
+        points_m, values = rng.normal(size=(5000, 3)), rng.integers(0, 256, (5000, 2))
+        values = values.astype(np.float32)
+        known, sums_m = np.zeros(5000, np.uint64), np.zeros((5000, 3))
+        sums = np.zeros((5000, 2), np.float32)
+        count = 0
+        for half in (slice(2500), slice(2500, None)):
+            table = hash_table(known[:count], 5000)  # made anew of what is known
+            added = (numbers[half], points_m[half], values[half])
+            count = add_to_voxels(*added, table, known, sums_m, sums, count)
         expected, of = np.unique(numbers, return_inverse=True)
         assert count == len(expected)
         order = np.argsort(known[:count])
         np.testing.assert_array_equal(known[order], expected)
-        for column in range(2):
-            exact = np.bincount(of, values[:, column])
-            np.testing.assert_allclose(sums[order, column], exact, atol=1e-12)
+        for found, column in [
+            *zip(sums_m.T, points_m.T, strict=True),
+            *zip(sums.T, values.T, strict=True),
+        ]:
+            np.testing.assert_allclose(found[order], np.bincount(of, column), atol=1e-12)
