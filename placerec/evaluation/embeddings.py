@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from placerec.certificate import own_fingerprint
 from placerec.checked_recognizer import CheckedRecognizer
 from placerec.datasets import PlaceDataset
-from placerec.device import CPU, device_asked_for
 from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress, cache_folder, write_atomically
+from placerec.networks.device import CPU, device_asked_for
 from placerec.recognizer import PlaceRecognizer
 
 _LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch", "onnxruntime")

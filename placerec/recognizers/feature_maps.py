@@ -20,8 +20,7 @@ from placerec.networks.pretrained import (
     load_pretrained,
     weights_folders,
 )
-from placerec.networks.threads import one_thread
-from placerec.networks.torch_device import on_device_asked_for
+from placerec.networks.torch_device import on_device_asked_for, one_thread
 from placerec.recognizers.fitted_file import FittedRecognizer
 
 FloatArray = NDArray[np.float32]

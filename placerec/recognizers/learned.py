@@ -17,8 +17,7 @@ from placerec.certificate import (
 )
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, Trunk
-from placerec.networks.threads import one_thread
-from placerec.networks.torch_device import on_device_asked_for
+from placerec.networks.torch_device import on_device_asked_for, one_thread
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
 from placerec.recognizers.fitted_file import NETWORKS_TRAINED_ON, shipped
 

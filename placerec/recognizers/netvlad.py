@@ -15,7 +15,7 @@ from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS
 from placerec.networks.pooling import Vlad
 from placerec.networks.pretrained import find_pretrained, read_weights
-from placerec.networks.threads import one_thread
+from placerec.networks.torch_device import one_thread
 from placerec.networks.vgg16 import VGG16
 from placerec.networks.whitening import principal_components, whitened_components
 from placerec.recognizers.feature_maps import FeatureMaps, FittedToMaps, Layer, find_maps

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from placerec.certificate import Certificate, certificate_beside, certificate_path
-from placerec.device import CPU, device_asked_for
 from placerec.errors import RecognizerError
 from placerec.files import MOST_ONNX_BYTES, read_bytes
+from placerec.networks.device import CPU, device_asked_for
 from placerec.networks.onnx_settings import OnnxSettings, read_settings, settings_path
 from placerec.networks.preprocessing import Preprocessing
 from placerec.recognizers.onnx_session import (

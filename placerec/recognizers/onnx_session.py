@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from placerec.device import CPU, device_asked_for, no_such_device
 from placerec.errors import RecognizerError, cause_of
 from placerec.files import is_file
+from placerec.networks.device import CPU, device_asked_for, no_such_device
 from placerec.networks.onnx_settings import settings_path
 
 _TYPES: dict[str, type[np.floating[Any]]] = {

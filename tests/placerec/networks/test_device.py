@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from placerec.device import device_asked_for
 from placerec.errors import RecognizerError
+from placerec.networks.device import device_asked_for
 
 
 def test_it_is_the_cpu_unless_something_else_is_asked_for(monkeypatch):
