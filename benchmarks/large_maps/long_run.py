@@ -44,7 +44,7 @@ from slam.demo.layout import furnished_room
 from slam.demo.panels import Panel, light
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, build_room, render
 from slam.geometry.features import search_images_on_one_thread
-from slam.geometry.freed_memory import share_between_threads
+from slam.geometry.freed_memory import give_back, share_between_threads
 from slam.types import FloatArray
 
 FRAMES_PER_S = 15.0
@@ -263,6 +263,7 @@ def measure(frames: int, recognizer: str, width: int = 320, laps: int = 0) -> Ru
     keyframes = np.zeros(frames, dtype=np.int64)
     gc.collect()
     gc.freeze()
+    give_back()  # what loading and rendering freed would be counted as what tracking needs less
     before_mb = memory_in_use_mb()
     for i in tqdm(range(frames), desc="tracking", unit=" frames", mininterval=1.0):
         frame = film.frame(i)
