@@ -15,6 +15,9 @@ start from the same weights, and the first two see the same images in every roun
 - *triplet, same sets*: eq. 2 on the sets of Algorithm 1;
 - *triplet, drawn*: eq. 2 on as many images drawn at random, as triplets are without mining.
 
+Of several rates, each way learns at the one by which it ends highest on the first of the data, so
+that none is held back by a rate that suits another; what that first one then shows is no evidence.
+
 SCENES and PATHS are made by `python -m benchmarks.training_scenes`, PATHS with --paths. Either can
 be any data that `placerec evaluate` takes, or a folder of such; clips are learned from by their
 training part. What was worked out is kept in FOLDER: other data need another one.
@@ -66,6 +69,8 @@ LOOKS = 4
 """How often a training is measured after its start."""
 SCENES_PER_ROUND, PLACES_PER_SCENE, IMAGES_PER_PLACE = 3, 12, 4
 IMAGES_PER_PASS = 16
+IN_VAIN = 50
+"""Rounds without a set after which none is to be expected any more."""
 OURS, SAME_SETS, DRAWN = "multi-constraint", "triplet, same sets", "triplet, drawn"
 WAYS = (OURS, SAME_SETS, DRAWN)
 
@@ -108,18 +113,27 @@ def main() -> int:
             for each in open_collection(source)
         ]
     blocks = _blocks_behind(options.frozen_block, options.mobilenet)
-    same_for_all = Conditions(blocks, options.learning_rate, options.steps)
     ways = WAYS[:2] if options.same_sets_only else WAYS
-    images, found = LabelledImages(datasets), {}
-    for seed in range(options.seeds):
-        for way in ways:
-            name = f"{way.replace(', ', '-')}-seed{seed}-{options.steps}-{options.learning_rate:g}"
-            file = kept / f"{name}-{'+'.join(kinds)}.npy"  # whose columns these are
-            if not file.exists():
-                _keep(file, np.array(list(_learn(images, maps, kinds, same_for_all, way, seed))))
-            found[way, seed] = np.load(file)
+    images, found = LabelledImages(datasets), dict[tuple[str, int], NDArray[np.float64]]()
+    rate_of: dict[str, float] = {}
+    for way in ways:
+        by_rate = {}
+        for rate in options.learning_rate:
+            same_for_all = Conditions(blocks, rate, options.steps)
+            for seed in range(options.seeds):
+                name = f"{way.replace(', ', '-')}-seed{seed}-{options.steps}-{rate:g}"
+                file = kept / f"{name}-{'+'.join(kinds)}.npy"  # whose columns these are
+                if not file.exists():
+                    curves = _learn(images, maps, kinds, same_for_all, way, seed)
+                    _keep(file, np.array(list(curves)))
+                by_rate[rate, seed] = np.load(file)
+        rate_of[way] = _best_rate(by_rate, range(options.seeds))
+        found |= {(way, seed): by_rate[rate_of[way], seed] for seed in range(options.seeds)}
     _print_gains(list(kinds), found, ways, range(options.seeds))
     _print_curves(list(kinds), found, ways, range(options.seeds), options.steps)
+    if len(options.learning_rate) > 1:
+        told = (f"{way} {rate:g}" for way, rate in rate_of.items())
+        print(f"\nRates, chosen on {next(iter(kinds))}: {'; '.join(told)}")
     return 0
 
 
@@ -136,9 +150,17 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--most-scenes", type=int, default=60)
     blocks = list(TRUNK.blocks)[: list(TRUNK.blocks).index(BLOCK) + 1]
     parser.add_argument("--frozen-block", choices=blocks, default=BLOCK, metavar="BLOCK")
-    parser.add_argument("--learning-rate", type=float, default=LEARNING_RATE)
+    parser.add_argument("--learning-rate", type=float, nargs="+", default=[LEARNING_RATE])
     parser.add_argument("--same-sets-only", action="store_true", help="leave the drawn ones out")
     return parser.parse_args()
+
+
+def _best_rate(
+    by_rate: dict[tuple[float, int], NDArray[np.float64]], seeds: Sequence[int]
+) -> float:
+    """Return the rate by which the mean of all seeds ends highest on the first kind."""
+    rates = dict.fromkeys(rate for rate, _ in by_rate)
+    return max(rates, key=lambda rate: fmean(by_rate[rate, seed][-1, 0] for seed in seeds))
 
 
 def _blocks_behind(frozen_block: str, mobilenet: Path) -> nn.Sequential:
@@ -208,6 +230,7 @@ def _rounds(
     images: LabelledImages, maps: Tensor, network: nn.Module, way: str, seed: int
 ) -> Iterator[ImageSets]:
     """Yield five sets at a time, of images that are drawn alike for all ways."""
+    without_a_set = 0
     for number in count():
         rng = np.random.default_rng([seed, number])
         draw = (SCENES_PER_ROUND, PLACES_PER_SCENE, rng)
@@ -221,6 +244,9 @@ def _rounds(
             with torch.no_grad():
                 features = _embed(network, maps[torch.from_numpy(seen)]).numpy()
             sets = build_image_sets(features, truth, rng, RULES, rows)
+        without_a_set = 0 if len(sets) else without_a_set + 1
+        if without_a_set == IN_VAIN:
+            sys.exit("error: all places are told apart, no set can be built; take fewer --steps")
         for start in range(0, len(sets), BATCH_SETS):
             part = slice(start, start + BATCH_SETS)
             yield ImageSets(seen[sets.positives[part]], seen[sets.negatives[part]])

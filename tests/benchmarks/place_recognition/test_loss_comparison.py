@@ -79,6 +79,28 @@ def test_blocks_behind_a_frozen_one_learn_from_the_same_start(scenes, compare):
     assert not np.allclose(learned[0][1:], fixed[0][1:], atol=1e-6)
 
 
+def test_each_way_learns_at_the_rate_that_suits_it_on_the_first_of_the_data(scenes, compare):
+    options = ("--seeds", "2", "--same-sets-only")
+    alone = {rate: compare(*options, "--learning-rate", rate) for rate in ("0.00005", "0.0001")}
+    both = compare(*options, "--learning-rate", "0.00005", "0.0001").splitlines()
+    assert both[-1].startswith(f"Rates, chosen on paths: {OURS} ")
+    ends = {rate: [float(cell) for cell in _cells(told)[1:3]] for rate, told in alone.items()}
+    best = [max(ends, key=lambda rate: ends[rate][k]) for k in (0, 1)]
+    assert both[-1].endswith(f"{OURS} {float(best[0]):g}; triplet, same sets {float(best[1]):g}")
+    chosen = [ends[rate][k] for k, rate in enumerate(best)]
+    assert [float(cell) for cell in _cells("\n".join(both))[1:3]] == chosen
+
+
+def _cells(told):
+    """Return the start and the ends of a table of one kind."""
+    return told.splitlines()[2].split(" | ")[1:-1]
+
+
+def test_where_all_places_are_told_apart_it_ends(compare):
+    with pytest.raises(SystemExit, match="no set can be built"):
+        compare("--seeds", "1", "--same-sets-only", "--learning-rate", "0.1", "--steps", "1000")
+
+
 def test_a_block_behind_the_last_is_refused(compare, capsys):
     with pytest.raises(SystemExit) as stop:
         compare("--frozen-block", "block2")
