@@ -17,7 +17,7 @@ from placerec.recognizer import PlaceRecognizer, with_members
 Embeddings = NDArray[np.float32]
 Similarities = NDArray[np.float32]
 
-_Answer = TypeVar("_Answer")
+_Kind = TypeVar("_Kind")
 MAX_LENGTH_ERROR = 1e-3
 _LOOKS_BACK = 32
 _MAX_BEYOND_ONE = 1e-3
@@ -200,7 +200,7 @@ class CheckedRecognizer:
             RecognizerError: the recognizer failed, or its answer is not finite, not of the shape
                 as before, or not the unit vector that it must be.
         """
-        return self._embedding(self._answer(lambda: self._recognizer.embed(image)))
+        return self._embedding(self._asked(lambda: self._recognizer.embed(image)))
 
     def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.float32]]:
         """Return the embeddings of (H, W, 3) uint8 RGB images, as `embed` does, of any sizes.
@@ -213,7 +213,7 @@ class CheckedRecognizer:
         at_once: object = getattr(self._recognizer, "embed_many", None)
         if not callable(at_once):
             return [self.embed(image) for image in images]
-        answer = self._answer(lambda: list(at_once(images)))
+        answer = self._asked(lambda: list(at_once(images)))
         if len(answer) != len(images):
             self._refuse(f"{len(answer)} embeddings of {len(images)} images")
         return [self._embedding(each) for each in answer]
@@ -252,9 +252,9 @@ class CheckedRecognizer:
             self._refuse(flaw)
         return np.asarray(answer, np.float64)
 
-    def _answer(self, question: Callable[[], _Answer]) -> _Answer:
+    def _asked(self, question: Callable[[], _Kind]) -> _Kind:
         try:
-            return cast(_Answer, self._ask(question))
+            return cast(_Kind, self._ask(question))
         except (Exception, SystemExit) as error:
             raise RecognizerError(f"{self._title} failed: {cause_of(error)}") from error
 

@@ -37,6 +37,10 @@ class PlaceRecognizer(Protocol):
     the answer is used: the 32 before it come along for methods that compare sequences, or as many
     as `looks_back: int` says, which makes comparing faster where it is 0.
 
+    One that takes several images at once for less has a method `embed_many(images)`, which returns
+    the embeddings of a sequence of such images as `embed` does. It is asked where networks are not
+    run on the CPU, of up to 32 images.
+
     A method that can tell more of the few most similar images than their embeddings do has a method
     `rerank(query, candidates)`. It takes a (H, W, 3) uint8 RGB image and a sequence of such, and
     returns (C,) scores from 0, nothing in common, to 1. While a map is made it is asked where a

@@ -246,7 +246,10 @@ def _rounds(
             sets = build_image_sets(features, truth, rng, RULES, rows)
         without_a_set = 0 if len(sets) else without_a_set + 1
         if without_a_set == IN_VAIN:
-            sys.exit("error: all places are told apart, no set can be built; take fewer --steps")
+            sys.exit(
+                f"error: {way}, seed {seed}: no set can be built any more, as the places are told"
+                " apart, or thrown about; take a lower --learning-rate or fewer --steps"
+            )
         for start in range(0, len(sets), BATCH_SETS):
             part = slice(start, start + BATCH_SETS)
             yield ImageSets(seen[sets.positives[part]], seen[sets.negatives[part]])

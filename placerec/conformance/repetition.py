@@ -202,6 +202,24 @@ def _keeps_no_images(subject: Subject) -> Outcome:
     return kept_mb <= _MAX_KEPT_MB, f"{max(kept_mb, 0.0):.2f} MB more after each image"
 
 
+@as_check(
+    "several at once",
+    "embed_many(images) gives what embed does of each, in their order; or leave it out",
+    much_later,
+)
+def _at_once(subject: Subject) -> Outcome:
+    embed_many = getattr(subject.recognizer, "embed_many", None)
+    if embed_many is None:
+        return True, "it has no embed_many, and is asked for one after the other"
+    found = [np.asarray(each) for each in embed_many([image.copy() for image in places()])]
+    shapes = [each.shape for each in subject.embeddings]
+    if [each.shape for each in found] != shapes:
+        return False, f"{len(found)} of {len(shapes)} embeddings, or others in shape"
+    gaps = [np.abs(a - b).max() for a, b in zip(subject.embeddings, found, strict=True)]
+    largest = max(np.abs(each).max() for each in subject.embeddings)
+    return max(gaps) <= _ROUNDING * largest, f"differ by up to {max(gaps):.3g}, of {largest:.3g}"
+
+
 CHECKS = (
     _again,
     _alone,
@@ -209,6 +227,7 @@ CHECKS = (
     _any_layout,
     _another_thread,
     _threads_at_once,
+    _at_once,
     _second_instance,
     fresh_process,
 )

@@ -27,6 +27,12 @@ def device_asked_for() -> str:
     return name
 
 
+def on_another() -> str:
+    """Return where networks are computed as it is told after their names: "" on the CPU."""
+    device = device_asked_for()
+    return "" if device == CPU else f" on {device}"
+
+
 def no_such_device(name: str, of: str, why: str) -> RecognizerError:
     """Return the error that what runs a network here, torch or onnxruntime, has no such device."""
     return RecognizerError(f"{VARIABLE}={name}: {of} cannot use it: {why}")

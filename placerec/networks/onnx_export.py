@@ -3,6 +3,7 @@
 
 import json
 import warnings
+from copy import deepcopy
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -61,7 +62,7 @@ def to_onnx(network: PlaceNetwork, min_similarity: float) -> Any:
             # Of two exporters this one needs no further package; torch would rather have the other.
             warnings.simplefilter("ignore")
             torch.onnx.export(
-                _Written(network),
+                _Written(deepcopy(network).cpu()),  # it may run on another device
                 (images,),
                 written,
                 dynamo=False,

@@ -23,7 +23,7 @@ def on_device_asked_for(network: PlaceNetwork) -> tuple[PlaceNetwork, torch.devi
         if name != CPU:
             torch.zeros(1, device=device).cpu()  # a device may have a name here and nothing behind
         return network.to(device), device
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
+    except (RuntimeError, AssertionError, ImportError) as error:
         raise no_such_device(name, "torch", cause_of(error)) from error
 
 

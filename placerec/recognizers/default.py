@@ -12,6 +12,7 @@ from importlib.util import find_spec
 
 from placerec.errors import RecognizerError
 from placerec.files import is_file
+from placerec.networks.device import device_asked_for, on_another
 from placerec.recognizer import ONNX_SUFFIX, PlaceRecognizer
 from placerec.recognizers.fitted_file import NETWORKS_TRAINED_ON, shipped
 from placerec.recognizers.onnx_file import OnnxRecognizer
@@ -30,11 +31,12 @@ def open_default() -> PlaceRecognizer:
     Raises:
         RecognizerError: its weights are not installed or damaged.
     """
+    device_asked_for()  # what is no name of a device at all is not for torch to tell
     if find_spec("onnxruntime") and is_file(DEFAULT_GRAPH) and is_file(DEFAULT_WEIGHTS):
         try:
             return DefaultByOnnx()
         except RecognizerError as error:
-            _log.warning("torch runs the default recognizer, because %s", error)
+            _log.warning("torch is to run the default recognizer, because %s", error)
     # Loaded here, because torch takes seconds that onnxruntime does not need.
     from placerec.recognizers.learned import LearnedRecognizer
 
@@ -62,7 +64,8 @@ class DefaultByOnnx(OnnxRecognizer):
         if self.metadata.get(WEIGHTS_METADATA) != digest:
             # Where in the file each tensor lies would be another place.
             raise RecognizerError(f"the graph is of other weights: {DEFAULT_GRAPH}")
-        self.weights = f"{self.metadata['title']}, trained for places: those of the package"
+        of_package = f"{self.metadata['title']}, trained for places: those of the package"
+        self.weights = of_package + on_another()
 
     @property
     def fingerprint(self) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from placerec.errors import RecognizerError
 from placerec.networks import PlaceNetwork, Trunk
+from placerec.networks.device import on_another
 from placerec.networks.pretrained import (
     FOLDER_VARIABLE,
     SUFFIXES,
@@ -71,7 +72,7 @@ class FeatureMaps:
         network = PlaceNetwork(layer.trunk, 1, block=layer.block, size_px=layer.size_px)
         load_pretrained(network, path)
         self.title = layer.title
-        self.weights = f"{layer.title}, published weights {path.name}"
+        self.weights = f"{layer.title}, published weights {path.name}{on_another()}"
         digest = hashlib.sha256(repr((layer.title, network.preprocessing)).encode())
         for name, value in sorted(network.features.state_dict().items()):
             digest.update(name.encode())

@@ -17,6 +17,7 @@ from placerec.certificate import (
 )
 from placerec.errors import RecognizerError
 from placerec.networks import TRUNKS, Trunk
+from placerec.networks.device import on_another
 from placerec.networks.torch_device import on_device_asked_for, one_thread
 from placerec.networks.weights_file import hash_network, load_weights, set_min_similarity
 from placerec.recognizers.fitted_file import NETWORKS_TRAINED_ON, shipped
@@ -58,7 +59,7 @@ class LearnedRecognizer:
         self._path = path
         is_default = path == DEFAULT_WEIGHTS
         title = "those of the package" if is_default else path.name
-        self.weights = f"{self.network.title}, trained for places: {title}"
+        self.weights = f"{self.network.title}, trained for places: {title}{on_another()}"
         self.trained_on: tuple[str, ...] = NETWORKS_TRAINED_ON if is_default else ()
 
     @cached_property

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from placerec.certificate import Certificate, certificate_beside, certificate_path
 from placerec.errors import RecognizerError
 from placerec.files import MOST_ONNX_BYTES, read_bytes
-from placerec.networks.device import CPU, device_asked_for
+from placerec.networks.device import on_another
 from placerec.networks.onnx_settings import OnnxSettings, read_settings, settings_path
 from placerec.networks.preprocessing import Preprocessing
 from placerec.recognizers.onnx_session import (
@@ -70,8 +70,7 @@ class OnnxRecognizer:
         self._output = output_of(opened.outputs, settings.output, path)
         self.dimension = self._try_out()
         side = f"{self.preprocessing.width_px}x{self.preprocessing.height_px} px"
-        where = "" if device_asked_for() == CPU else f" on {device_asked_for()}"
-        self.weights = f"{path.name} at {side}, by onnxruntime{where}"
+        self.weights = f"{path.name} at {side}, by onnxruntime{on_another()}"
         self.min_similarity = self._threshold(settings)
 
     @cached_property

@@ -102,13 +102,13 @@ def _providers(available: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
     """Return what onnxruntime calls the device asked for, and the CPU for what that cannot do."""
     device = device_asked_for()
     kind, _, number = device.partition(":")
-    of_kind = [each for each in available if each.lower() == f"{kind}executionprovider"]
-    if not of_kind:
-        others = ", ".join(each.removesuffix("ExecutionProvider").lower() for each in available)
-        raise no_such_device(device, "onnxruntime", f"this build has {others}")
+    names = {each.removesuffix("ExecutionProvider").lower(): each for each in available}
+    names.pop("azure", None)  # asks networks on the web, and leaves all others to the CPU
+    if kind not in names:
+        raise no_such_device(device, "onnxruntime", f"this build has {', '.join(names)}")
     options = {"device_id": number} if number else {}
     rest = [] if device == CPU else [("CPUExecutionProvider", dict[str, str]())]
-    return [(of_kind[0], options), *rest]
+    return [(names[kind], options), *rest]
 
 
 def why(error: Exception) -> str:

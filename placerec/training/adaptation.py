@@ -55,8 +55,8 @@ def adapt_last_layer(
     turned = _weighed(turned @ _mean(beyond) @ turned, 0.5, BEYOND) @ turned
     layer, factor = network.fully_connected, torch.from_numpy(turned)
     with torch.no_grad():
-        layer.weight.copy_(factor @ layer.weight.double())
-        layer.bias.copy_(factor @ layer.bias.double())
+        layer.weight.copy_(factor @ layer.weight.cpu().double())
+        layer.bias.copy_(factor @ layer.bias.cpu().double())
 
 
 def _mean(spreads: Sequence[FloatMatrix]) -> FloatMatrix:

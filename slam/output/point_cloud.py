@@ -51,7 +51,7 @@ class VoxelMeans:
         self._numbers = np.zeros(room, np.uint64)
         self._sums_m = np.zeros((room, 3))
         self._sums = np.zeros((room, 4), np.float32)  # of colours, and how many
-        self._table = hash_table(self._numbers[:0], _ROOM)
+        self._table = hash_table(self._numbers[:0], _ROOM)  # grows by itself: all of it is used
 
     def add(self, cloud: PointCloud) -> None:
         """Add a cloud's points."""

@@ -96,8 +96,24 @@ def _cells(told):
     return told.splitlines()[2].split(" | ")[1:-1]
 
 
+def test_a_rate_is_chosen_by_the_mean_of_all_seeds_at_the_end_on_the_first_of_the_data():
+    def curve(end, elsewhere):
+        return np.array([[0.9, 0.9], [end, elsewhere]])  # better at the start, to no avail
+
+    by_rate = {
+        (1e-5, 0): curve(0.3, 0.9),
+        (1e-5, 1): curve(0.3, 0.9),
+        (1e-4, 0): curve(0.2, 0.1),
+        (1e-4, 1): curve(0.6, 0.1),
+        (1e-3, 0): curve(0.35, 0.5),
+        (1e-3, 1): curve(0.35, 0.5),
+    }
+    assert loss_comparison._best_rate(by_rate, range(2)) == 1e-4
+    assert loss_comparison._best_rate(by_rate, range(1)) == 1e-3
+
+
 def test_where_all_places_are_told_apart_it_ends(compare):
-    with pytest.raises(SystemExit, match="no set can be built"):
+    with pytest.raises(SystemExit, match="multi-constraint, seed 0: no set can be built"):
         compare("--seeds", "1", "--same-sets-only", "--learning-rate", "0.1", "--steps", "1000")
 
 

@@ -22,9 +22,17 @@ importlib.import_module(sys.argv[1])
 @pytest.mark.parametrize(
     "command", ["slam.__main__", "slam.commands.drift_report", "placerec.commands.evaluate"]
 )
-@pytest.mark.parametrize(("asked", "told"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "4"}, "4")])
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({}, "1"),
+        ({"OPENBLAS_NUM_THREADS": "4"}, "4"),
+        ({"OMP_NUM_THREADS": "3"}, "None"),  # BLAS takes this then
+    ],
+)
 def test_blas_has_one_thread_unless_it_is_asked_for_more(command, asked, told):
-    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    told_before = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    environment = {k: v for k, v in os.environ.items() if k not in told_before}
     done = subprocess.run(
         [sys.executable, "-c", LOADED, command],
         env=environment | asked,

@@ -187,6 +187,16 @@ class OnlyHere(Sound):
             raise OSError("no camera")
 
 
+class TurnedRound(Sound):
+    def embed_many(self, images):
+        return [self.embed(image) for image in images[::-1]]
+
+
+class LeavesOut(Sound):
+    def embed_many(self, images):
+        return [self.embed(image) for image in images[1:]]
+
+
 class Hoards(Sound):
     def __init__(self):
         self.seen = []

@@ -39,6 +39,8 @@ FAULTS = {
     "Remembers": ("whatever came before", "6 of 6 differ by up to 0.0"),
     "TiedToItsThread": ("in another thread", "RuntimeError: made in another thread (faulty_"),
     "SharedBuffer": ("in several threads at once", ""),
+    "TurnedRound": ("several at once", "differ by up to 0."),
+    "LeavesOut": ("several at once", "5 of 6 embeddings, or others in shape"),
     "OtherEveryTime": ("by a second instance", "3 of 3 differ by up to "),
     "OtherEveryRun": ("in a fresh process", "6 of 6 differ by up to "),
     "OnlyHere": ("in a fresh process", f"recognizer '{MODULE}:OnlyHere' cannot be constructed: OS"),

@@ -18,7 +18,7 @@ def test_a_network_is_on_the_cpu(network, monkeypatch):
 
 
 # A name that torch does not have, one that holds no values, one that is on no machine of the tests.
-@pytest.mark.parametrize("device", ["abacus", "meta", "cuda:99"])
+@pytest.mark.parametrize("device", ["abacus", "meta", "hpu", "cuda:99"])
 def test_a_device_that_is_not_there_is_one_line(device, network, monkeypatch):
     monkeypatch.setenv("LOOPCLOSE_DEVICE", device)
     with pytest.raises(

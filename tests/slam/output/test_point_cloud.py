@@ -146,9 +146,9 @@ def test_a_map_that_outgrows_its_room_is_as_if_there_had_been_room_for_all(monke
     T_world_kf = [np.linalg.matrix_power(turned, k % 3) for k in range(6)]
     camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
     result = result_of(keyframes, T_world_kf, camera)
-    monkeypatch.setattr(point_cloud, "_ROOM", 10**6)
     at_once = fuse(result, COARSE)
-    monkeypatch.setattr(point_cloud, "_ROOM", 1)
+    monkeypatch.setattr(point_cloud, "_ROOM_OF_MAP", 1)
+    monkeypatch.setattr(point_cloud, "_ROOM", 1)  # of the table, with which it begins
     in_turn = fuse(result, COARSE)
     np.testing.assert_array_equal(in_turn.points_m, at_once.points_m)
     np.testing.assert_array_equal(in_turn.colours, at_once.colours)
