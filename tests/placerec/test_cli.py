@@ -39,7 +39,7 @@ def test_check_of_a_class_in_the_current_folder_that_does_not_conform(
     assert "\n                                         -> return (D,) for every image: " in out
     assert "\n  --    3 more                           first mend 'one shape'\n" in out
     assert "to embed" not in out
-    assert out.endswith("\n2 of 36 checks failed, 26 not tried\n")
+    assert out.endswith("\n2 of 37 checks failed, 27 not tried\n")
 
 
 def test_unknown_recognizer_is_one_line_and_bad_usage(capsys):
