@@ -4,10 +4,12 @@
     python -m benchmarks.training_scenes OUT --photographs ie_tower [--rooms 60] [--desks 60]
     python -m benchmarks.training_scenes OUT --photographs ie_tower --recording FOLDER
     python -m benchmarks.training_scenes OUT --photographs ie_tower:validation --paths --seed 9000
+    python -m benchmarks.training_scenes OUT --photographs ie_tower:validation --paths --depth
 
 From the root of the repository. Rooms and cluttered tables are rendered; of a recording with depth
 and true poses, as rgbd_dataset_freiburg1_xyz is one, views are made that its camera never had. With
---paths the camera is carried around instead, as in a recording, which is what to validate with.
+--paths the camera is carried around instead, as in a recording, which is what to validate with;
+with --depth it is a Kinect, and `run_slam` can track it.
 Scenes that are there are kept.
 """
 
@@ -20,7 +22,7 @@ from tqdm import tqdm
 
 from benchmarks.training_scenes.handheld import Image, write_folder
 from benchmarks.training_scenes.recorded import RecordedPlace
-from benchmarks.training_scenes.rendered import views
+from benchmarks.training_scenes.rendered import record_path, views
 from placerec.datasets import open_dataset
 from placerec.errors import LoopcloseError
 
@@ -61,7 +63,10 @@ def _render(options: argparse.Namespace, photographs: Sequence[Image]) -> None:
             folder = options.out / f"{kind}{n:03d}"
             if not folder.exists():
                 seed = options.seed + n
-                write_folder(folder, views(kind, seed, photographs, options.paths))
+                if options.depth:
+                    record_path(folder, kind, seed, photographs)
+                else:
+                    write_folder(folder, views(kind, seed, photographs, options.paths))
 
 
 def _arguments() -> argparse.Namespace:
@@ -74,8 +79,12 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--desks", type=int, default=60)
     parser.add_argument("--recording", type=Path, help="look at it anew, instead of at those")
     parser.add_argument("--paths", action="store_true")
+    parser.add_argument("--depth", action="store_true", help="of --paths, in 640x480 px")
     parser.add_argument("--seed", type=int, default=1000)
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.depth and (options.recording or not options.paths):
+        parser.error("--depth is for rendered --paths")
+    return options
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -24,10 +25,11 @@ from benchmarks.training_scenes.handheld import (
     pose,
     swing,
 )
-from slam import Camera
+from slam import Camera, Trajectory
 from slam.demo import furniture, textures, wall_pictures
 from slam.demo.layout import furnished_room, wall_frame
 from slam.demo.panels import Panel, Point, box, light, panel, turned
+from slam.demo.recording import render_path
 from slam.demo.room import LAMPS_M, ROOM_SIZE_M, Room, assemble, render
 from slam.demo.textures import Material, colour_of
 from slam.geometry.se3 import from_rotation_translation, pose_distance
@@ -145,6 +147,7 @@ RADIUS = 0.5
 pairs within one some are just beyond the limit, and most of the others not far from it."""
 APART, NEARBY = 0.8, 1.5
 """Least distance of two places, and the largest of most of them to some other."""
+START_S = 100.0
 SECONDS_APART = 4.0
 """Between two views, so that none is left out for following the last too soon."""
 PHOTOGRAPHED, SMALLEST_TEXELS = 0.4, 24
@@ -297,4 +300,11 @@ def views(kind: str, seed: int, photographs: Sequence[Image], paths: bool) -> Vi
         images = list(pool.map(partial(photographed, scene), (T for T, _ in seen), rngs))
     for number, (image, (T_world_cam, place)) in enumerate(zip(images, seen, strict=True)):
         if image[::4, ::4].std() >= LEAST_CONTRAST:  # nobody could tell a bare wall from another
-            yield 100.0 + number * pause_s, image, T_world_cam, place
+            yield START_S + number * pause_s, image, T_world_cam, place
+
+
+def record_path(folder: Path, kind: str, seed: int, photographs: Sequence[Image]) -> None:
+    """Write what a Kinect sees on its path through a scene: colours, depth and true poses."""
+    scene, rng = build_scene(kind, seed, photographs), np.random.default_rng([seed, 0x71E])
+    poses = Trajectory(START_S + path_times_s(), np.array(path(scene, rng)))
+    render_path(folder, scene.room, poses, seed)

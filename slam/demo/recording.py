@@ -49,15 +49,28 @@ def render_sequence(
     Raises:
         LoopcloseError: the folder is not empty or cannot be written.
     """
+    times_s = np.arange(max(1, round(seconds * frames_per_s))) / frames_per_s
+    path = Trajectory(times_s + _START_S, drive(times_s, seed))
+    render_path(folder, build_room(seed), path, seed, progress, camera, enlarged)
+
+
+def render_path(
+    folder: Path,
+    room: Room,
+    path: Trajectory,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    camera: Camera = _DEMO_CAMERA,
+    enlarged: float = 1.0,
+) -> None:
+    """Write what a camera sees on its way through a room, as `render_sequence` does."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SlamError(f"there is something already; choose another folder or remove it: {folder}")
-    times_s = np.arange(max(1, round(seconds * frames_per_s))) / frames_per_s
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as scratch:
             unfinished = Path(scratch) / folder.name
-            path = Trajectory(times_s + _START_S, drive(times_s, seed))
-            photograph = partial(_photograph, build_room(seed), camera, enlarged)
+            photograph = partial(_photograph, room, camera, enlarged)
             _write_images(unfinished, path, photograph, seed, progress or (lambda *_: None))
             write_tum(unfinished / "groundtruth.txt", path.enlarged(enlarged))
             write_camera(unfinished / CAMERA_FILE, camera)

@@ -29,14 +29,39 @@ def seen():
     return points_m, rng.integers(0, 256, (60, 32), np.uint8)
 
 
-def test_the_further_the_camera_moved_the_less_alike(seen):
+def _verdict_after(moved_m, turned_rad, seen, limit=0.6):
     points_m, descriptors = seen
-    found = []
-    for far in (0.0, 0.3, 0.6, 1.2):
-        R = Rotation.from_rotvec([0.0, far / 2, 0.0])
-        moved = _features(R.apply(points_m) + np.array([far / 2, 0.0, 0.0]), descriptors)
-        found.append(second_look._nearness(_features(points_m, descriptors), moved, CAMERA))
-    np.testing.assert_allclose(found, [1.0, 0.75, 0.5, 0.0], atol=1e-6)
+    R = Rotation.from_rotvec([0.0, turned_rad, 0.0])
+    moved = _features(R.apply(points_m) + np.array([moved_m, 0.0, 0.0]), descriptors)
+    motion = second_look._motion(_features(points_m, descriptors), moved, CAMERA)
+    return second_look._verdict(motion, limit)
+
+
+def test_a_motion_is_metres_plus_radians(seen):
+    points_m, descriptors = seen
+    R = Rotation.from_rotvec([0.0, 0.2, 0.0])
+    moved = _features(R.apply(points_m) + np.array([0.3, 0.0, 0.0]), descriptors)
+    motion = second_look._motion(_features(points_m, descriptors), moved, CAMERA)
+    assert motion.distance == pytest.approx(0.5, abs=1e-6)
+    assert motion.matches == len(points_m)
+
+
+def test_the_further_the_camera_moved_the_less_alike_and_similarities_lie_between(seen):
+    found = [_verdict_after(far / 2, far / 2, seen) for far in (0.0, 0.3, 0.59, 0.61, 1.2)]
+    assert found == sorted(found, reverse=True)
+    within, beyond = found[:3], found[3:]
+    assert min(within) > 1.0  # whatever the similarity of two that no motion was found for
+    assert max(beyond) < -1.0
+
+
+def test_where_a_place_ends_is_told(seen):
+    assert _verdict_after(0.3, 0.0, seen, limit=0.25) < -1.0 < 1.0 < _verdict_after(0.3, 0.0, seen)
+
+
+def test_few_matches_bear_a_motion_out_less():
+    few, many = (second_look._verdict(second_look.Motion(0.3, n), 0.6) for n in (12, 120))
+    assert 1.0 < few < many
+    assert second_look._verdict(second_look.Motion(0.35, 120), 0.6) > few
 
 
 def test_a_fourth_of_wrong_matches_does_not_matter_and_chance_is_nothing(seen):
@@ -45,16 +70,31 @@ def test_a_fourth_of_wrong_matches_does_not_matter_and_chance_is_nothing(seen):
     some = points_m + np.array([0.2, 0.0, 0.0])
     some[:15] = rng.uniform((-1.0, -1.0, 1.0), (1.0, 1.0, 3.0), (15, 3))
     first = _features(points_m, descriptors)
-    near = second_look._nearness(first, _features(some, descriptors), CAMERA)
-    assert near == pytest.approx(1.0 - 0.2 / second_look.SPAN, abs=0.02)
+    motion = second_look._motion(first, _features(some, descriptors), CAMERA)
+    assert motion.distance == pytest.approx(0.2, abs=0.02)
+    assert motion.matches == pytest.approx(45, abs=3)
     mixed = _features(rng.permutation(points_m), descriptors)
-    assert second_look._nearness(first, mixed, CAMERA) == 0.0
+    assert second_look._motion(first, mixed, CAMERA) is None
     nothing = _features(np.empty((0, 3)), np.empty((0, 32), np.uint8))
-    assert second_look._nearness(first, nothing, CAMERA) == 0.0
+    assert second_look._motion(first, nothing, CAMERA) is None
+    assert np.isnan(second_look._verdict(None, 0.6))
 
 
-def test_the_table_of_a_recording(recording, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["x", str(recording), "--recognizer", "gradients"])
+def test_the_tables_of_recordings_and_their_means(recording, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["x", *[str(recording)] * 2, "--recognizer", "gradients"])
     assert second_look.main() == 0
-    rows = capsys.readouterr().out.splitlines()
-    assert [row.split(" | ")[0] for row in rows[2:]] == ["| embedding", "| features", "| motion"]
+    rows = [row.split(" | ") for row in capsys.readouterr().out.splitlines() if row]
+    ways = ["| embedding", "| features", "| motion"]
+    assert [row[0] for row in rows if not row[0].startswith("|---")] == [
+        *[f"| {recording.name}", *ways] * 2,
+        *["| mean", *ways],
+    ]
+    of_one, of_all = rows[4], rows[-1]
+    assert of_one[1].split()[0] == of_all[1]
+
+
+def test_an_unknown_recording_is_named(monkeypatch, capsys, recording):
+    monkeypatch.setattr("sys.argv", ["x", str(recording), "nowhere"])
+    with pytest.raises(SystemExit):
+        second_look.main()
+    assert "no such sequence: nowhere" in capsys.readouterr().err

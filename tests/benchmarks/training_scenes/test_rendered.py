@@ -3,10 +3,13 @@ import numpy as np
 import pytest
 
 from benchmarks.training_scenes import rendered
-from benchmarks.training_scenes.handheld import write_folder
+from benchmarks.training_scenes.handheld import path_times_s, write_folder
 from benchmarks.training_scenes.rendered import papered
 from placerec.datasets import open_dataset
+from slam.config import InputConfig
+from slam.datasets.formats import open_sequence
 from slam.demo.panels import Panel
+from slam.demo.room import render
 
 
 @pytest.mark.parametrize("kind", ["room", "desk"])
@@ -18,6 +21,21 @@ def test_a_scene_is_a_recording_with_places(kind, tmp_path, monkeypatch):
     assert scene[0].shape == (rendered.HEIGHT_PX, rendered.WIDTH_PX, 3)
     assert set(scene.places) == {0, 1, 2}  # those that were meant
     assert scene.comparable[~np.eye(len(scene), dtype=bool)].all()  # each view counts
+
+
+@pytest.mark.parametrize("kind", ["room", "desk"])
+def test_a_path_can_be_recorded_with_depth(kind, tmp_path, monkeypatch):
+    whole = rendered.path
+    monkeypatch.setattr(rendered, "path_times_s", lambda: path_times_s()[:2])
+    monkeypatch.setattr(rendered, "PATH_VIEWS", 2)
+    rendered.record_path(tmp_path / "path", kind, 7, [])
+    scene, rng = rendered.build_scene(kind, 7, []), np.random.default_rng([7, 0x71E])
+    sequence = open_sequence(tmp_path / "path", InputConfig())
+    assert len(sequence) == 2
+    for frame, T_world_cam in zip(sequence, whole(scene, rng), strict=True):
+        seen = render(scene.room, sequence.camera, T_world_cam)
+        both = (frame.depth_m > 0.0) & (seen.depth_m > 0.0)
+        assert np.median(np.abs(frame.depth_m - seen.depth_m)[both]) < 0.02
 
 
 def test_a_folder_that_could_not_be_finished_is_not_there(tmp_path):
