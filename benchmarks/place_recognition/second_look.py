@@ -44,12 +44,13 @@ from slam.loops.candidates.second_look import agreements, rerank, strongest
 from slam.types import Camera, Features, FloatArray
 
 LEAST_MATCHES = 12
-DOUBT = 1.0
+DOUBT = 4.0
 """Over the number of matches that bear a motion out, what it counts as longer: metres plus
 radians. Whatever repeats itself in a scene may be matched twelve times in a wrong place."""
 OFF_M, OFF_SHARE = 0.015, 0.02
-"""How far a matched point may be off: so much, and this share of its depth."""
-ROUNDS = 4
+"""How far a matched point may be off in the end: so much, and this share of its depth."""
+LENIENCE = (2.0, 5.0 / 3.0, 4.0 / 3.0, 1.0)
+"""How many times as far it may be off in each round."""
 
 Score = Callable[[Features, Features], float]
 Figures = tuple[float, float, float, float]
@@ -182,20 +183,22 @@ def _motion(a: Features, b: Features, camera: Camera) -> Motion | None:
     allowed_m = OFF_M + OFF_SHARE * np.maximum(points[:, 2], others[:, 2])
     fits = agree[np.count_nonzero(agree, axis=1).argmax()]
     distance = 0.0
-    for _ in range(ROUNDS):
+    for lenience in LENIENCE:
         if np.count_nonzero(fits) < LEAST_MATCHES:
             return None
-        R, t = _rigid(points[fits], others[fits])
-        fits = np.linalg.norm(R.apply(points) + t - others, axis=1) < allowed_m
+        R, t = _rigid(points[fits], others[fits], allowed_m[fits] ** -2)
+        fits = np.linalg.norm(R.apply(points) + t - others, axis=1) < lenience * allowed_m
         distance = float(np.linalg.norm(t) + R.magnitude())
     count = int(np.count_nonzero(fits))
     return Motion(distance, count) if count >= LEAST_MATCHES else None
 
 
-def _rigid(points: FloatArray, others: FloatArray) -> tuple[Rotation, FloatArray]:
+def _rigid(
+    points: FloatArray, others: FloatArray, weights: FloatArray
+) -> tuple[Rotation, FloatArray]:
     """Return the rotation and translation that take (N, 3) points onto others best."""
-    middle, other = points.mean(axis=0), others.mean(axis=0)
-    R, _ = Rotation.align_vectors(others - other, points - middle)
+    middle, other = (np.average(each, axis=0, weights=weights) for each in (points, others))
+    R, _ = Rotation.align_vectors(others - other, points - middle, weights=weights)
     return R, other - R.apply(middle)
 
 
