@@ -193,6 +193,7 @@ class Finishing:
             unjoined_s=self.frames.unjoined_s(T_world_kf),
             session_starts_s=np.array(self.frames.session_starts_s),
             elapsed_s=self.clock.elapsed_s,
+            compiling_s=self.clock.compiling_s,
             unsmoothed=trajectory if self._is_smoothed else None,
             threshold=closer.threshold(),
             earlier=len(self.earlier.keyframes) if self.earlier else 0,
