@@ -205,13 +205,13 @@ class CheckedRecognizer:
     def embed_many(self, images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.float32]]:
         """Return the embeddings of (H, W, 3) uint8 RGB images, as `embed` does, of any sizes.
 
-        They are made at once where the recognizer has a method `embed_many(images)` for that.
+        Several are made at once where the recognizer has a method `embed_many(images)` for that.
 
         Raises:
             RecognizerError: as for `embed`, or there are not as many embeddings as images.
         """
         at_once: object = getattr(self._recognizer, "embed_many", None)
-        if not callable(at_once):
+        if len(images) < 2 or not callable(at_once):
             return [self.embed(image) for image in images]
         answer = self._asked(lambda: list(at_once(images)))
         if len(answer) != len(images):

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba.core.event import Event, Listener, install_listener
+from numba.core.event import Event, Listener, TimingListener, install_listener, register
 from numba.extending import intrinsic
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -115,6 +115,9 @@ def _frozen(value: Any) -> bytes:
 _COMPILER, _READ_ONLY = "libllvmlite", ("r-xp", "r--p")
 _DONT_NEED = 4  # MADV_DONTNEED
 _loops: list[Any] = []  # that were imported so far
+_COMPILE = "numba:compile"  # whatever is compiled, by one thread after the other
+_clock = TimingListener()  # type: ignore[no-untyped-call]
+register(_COMPILE, _clock)  # type: ignore[no-untyped-call]
 
 
 def compiled(function: _Function) -> _Function:
@@ -144,8 +147,13 @@ def load_compiled() -> None:
 @contextmanager
 def telling_of_compiling(tell: Callable[[], None]) -> Iterator[None]:
     """Call a function once, as soon as something has to be compiled, which takes a while."""
-    with install_listener("numba:compile", _First(tell)):
+    with install_listener(_COMPILE, _First(tell)):
         yield
+
+
+def compiling_s() -> float:
+    """Return for how long this process has compiled so far, seconds; loading does not count."""
+    return _clock.duration if _clock.done else 0.0
 
 
 class _First(Listener):

@@ -39,7 +39,7 @@ class PlaceRecognizer(Protocol):
 
     One that takes several images at once for less has a method `embed_many(images)`, which returns
     the embeddings of a sequence of such images as `embed` does. It is asked where networks are not
-    run on the CPU, of up to 32 images.
+    run on the CPU, of 2 to 32 images.
 
     A method that can tell more of the few most similar images than their embeddings do has a method
     `rerank(query, candidates)`. It takes a (H, W, 3) uint8 RGB image and a sequence of such, and

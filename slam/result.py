@@ -245,6 +245,7 @@ class SlamResult:
         unjoined_s: those of the untracked frames that are in a part that was not joined.
         session_starts_s: timestamp of the first frame of each session after the first.
         elapsed_s: wall time of the whole run, waiting for frames included; None where unknown.
+        compiling_s: for how long of that loops were compiled, which later runs find compiled.
         unsmoothed: `trajectory` before it was smoothed, None where it was not. The other
             trajectories and `T_world_kf` never are.
         given: what became of an odometry from elsewhere, None where there is none.
@@ -273,6 +274,7 @@ class SlamResult:
     unjoined_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     session_starts_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     elapsed_s: float | None = None
+    compiling_s: float | None = None
     unsmoothed: Trajectory | None = None
     given: GivenOdometry | None = None
     missing: tuple[str, ...] = ()

@@ -29,7 +29,7 @@ import io
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -77,20 +77,26 @@ WAYS = (OURS, SAME_SETS, DRAWN)
 Kinds = dict[str, list[tuple[PlaceDataset, Tensor]]]
 Curves = dict[tuple[str, int], NDArray[np.float64]]
 """For a way and a seed, the (1 + LOOKS, K) average precisions on K kinds."""
+CurvesByRate = dict[tuple[float, int], NDArray[np.float64]]
+"""The same of one way, for a learning rate and a seed."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is the same for all ways.
+    """What is the same for all ways, rates and seeds.
 
     Attributes:
+        images: to learn from.
+        maps: (N, C, h, w) float16, theirs.
+        kinds: to measure on.
         blocks: those that learn, as they are before the first step.
-        learning_rate: of them, and of the last layer.
         steps: after which a training ends.
     """
 
+    images: LabelledImages
+    maps: Tensor
+    kinds: Kinds
     blocks: nn.Sequential
-    learning_rate: float
     steps: int
 
 
@@ -113,24 +119,15 @@ def main() -> int:
             for each in open_collection(source)
         ]
     blocks = _blocks_behind(options.frozen_block, options.mobilenet)
+    same = Conditions(LabelledImages(datasets), maps, kinds, blocks, options.steps)
     ways = WAYS[:2] if options.same_sets_only else WAYS
-    images, found = LabelledImages(datasets), dict[tuple[str, int], NDArray[np.float64]]()
-    rate_of: dict[str, float] = {}
+    found, rate_of, seeds = Curves(), dict[str, float](), range(options.seeds)
     for way in ways:
-        by_rate = {}
-        for rate in options.learning_rate:
-            same_for_all = Conditions(blocks, rate, options.steps)
-            for seed in range(options.seeds):
-                name = f"{way.replace(', ', '-')}-seed{seed}-{options.steps}-{rate:g}"
-                file = kept / f"{name}-{'+'.join(kinds)}.npy"  # whose columns these are
-                if not file.exists():
-                    curves = _learn(images, maps, kinds, same_for_all, way, seed)
-                    _keep(file, np.array(list(curves)))
-                by_rate[rate, seed] = np.load(file)
-        rate_of[way] = _best_rate(by_rate, range(options.seeds))
-        found |= {(way, seed): by_rate[rate_of[way], seed] for seed in range(options.seeds)}
-    _print_gains(list(kinds), found, ways, range(options.seeds))
-    _print_curves(list(kinds), found, ways, range(options.seeds), options.steps)
+        by_rate = _learned(same, way, options.learning_rate, seeds, kept)
+        rate_of[way] = _best_rate(by_rate, seeds)
+        found |= {(way, seed): by_rate[rate_of[way], seed] for seed in seeds}
+    _print_gains(list(kinds), found, ways, seeds)
+    _print_curves(list(kinds), found, ways, seeds, options.steps)
     if len(options.learning_rate) > 1:
         told = (f"{way} {rate:g}" for way, rate in rate_of.items())
         print(f"\nRates, chosen on {next(iter(kinds))}: {'; '.join(told)}")
@@ -155,9 +152,21 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _best_rate(
-    by_rate: dict[tuple[float, int], NDArray[np.float64]], seeds: Sequence[int]
-) -> float:
+def _learned(
+    same: Conditions, way: str, rates: Sequence[float], seeds: Sequence[int], kept: Path
+) -> CurvesByRate:
+    """Return how one way learns at all rates and seeds; what is not in the folder is learned."""
+    found = CurvesByRate()
+    for rate, seed in product(rates, seeds):
+        name = f"{way.replace(', ', '-')}-seed{seed}-{same.steps}-{rate:g}"
+        file = kept / f"{name}-{'+'.join(same.kinds)}.npy"  # whose columns these are
+        if not file.exists():
+            _keep(file, np.array(list(_learn(same, way, rate, seed))))
+        found[rate, seed] = np.load(file)
+    return found
+
+
+def _best_rate(by_rate: CurvesByRate, seeds: Sequence[int]) -> float:
     """Return the rate by which the mean of all seeds ends highest on the first kind."""
     rates = dict.fromkeys(rate for rate, _ in by_rate)
     return max(rates, key=lambda rate: fmean(by_rate[rate, seed][-1, 0] for seed in seeds))
@@ -189,16 +198,15 @@ def _keep(file: Path, values: NDArray[Any]) -> None:
     write_atomically(file, buffer.getvalue())
 
 
-def _learn(
-    images: LabelledImages, maps: Tensor, kinds: Kinds, same: Conditions, way: str, seed: int
-) -> Iterator[list[float]]:
+def _learn(same: Conditions, way: str, rate: float, seed: int) -> Iterator[list[float]]:
     """Yield the average precision on each kind before the first step, and LOOKS times after it."""
+    maps, kinds = same.maps, same.kinds
     torch.manual_seed(seed)
     blocks = copy.deepcopy(same.blocks)
     layer = nn.Linear(blocks(maps[:1].float()).numel(), DIMENSION)
     network = nn.Sequential(blocks, nn.Flatten(), layer)
-    adam = torch.optim.Adam(network.parameters(), lr=same.learning_rate)
-    rounds = _rounds(images, maps, network, way, seed)
+    adam = torch.optim.Adam(network.parameters(), lr=rate)
+    rounds = _rounds(same.images, maps, network, way, seed)
     yield _precisions(network, kinds)
     for step in tqdm(range(1, same.steps + 1), desc=f"{way}, seed {seed}"):
         sets = next(rounds)

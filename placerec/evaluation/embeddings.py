@@ -21,13 +21,11 @@ from placerec.checked_recognizer import CheckedRecognizer
 from placerec.datasets import PlaceDataset
 from placerec.errors import LoopcloseError, RecognizerError
 from placerec.files import Progress, cache_folder, write_atomically
-from placerec.networks.device import CPU, device_asked_for
+from placerec.networks.device import images_at_once, on_another
 from placerec.recognizer import PlaceRecognizer
 
 _LIBRARIES = ("loopclose", "numpy", "opencv-python-headless", "torch", "onnxruntime")
 """With another version of these, the last digits of an embedding may be others."""
-_AT_ONCE = 32
-"""Images that a device takes at once."""
 _STARTED_S = time.time()
 _FORMAT = "seconds, time, npy"
 _FACTS = struct.Struct("<dd")
@@ -61,9 +59,9 @@ class EmbeddingCache:
         fingerprint, kind = own_fingerprint(recognizer), type(recognizer)
         if fingerprint is None:
             raise RecognizerError(f"{kind.__name__!r} has no fingerprint: str")
-        made_by = [f"{name} {installed_version(name) or 'unknown'}" for name in _LIBRARIES]
-        made_by += [] if device_asked_for() == CPU else [device_asked_for()]
-        facts = [_FORMAT, fingerprint, f"{kind.__module__}:{kind.__qualname__}", *made_by]
+        libraries = [f"{name} {installed_version(name) or 'unknown'}" for name in _LIBRARIES]
+        made_by = f"{kind.__module__}:{kind.__qualname__}{on_another()}"
+        facts = [_FORMAT, fingerprint, made_by, *libraries]
         key = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:32]
         self._folder = (folder or cache_folder()) / "embeddings" / key
         self._is_writable = True
@@ -130,14 +128,13 @@ def embed_dataset(
 ) -> EmbeddedImages:
     """Embed a dataset's images, those in the cache without looking at them again.
 
-    On the CPU one by one, as in a run; on another device several at once, and each then has taken
-    an equal part of their time.
+    Of several that go at once, each has taken an equal part of their time.
 
     Raises:
         RecognizerError: the recognizer fails or breaks its protocol, or an image cannot be read.
     """
     checked = CheckedRecognizer(recognizer)
-    at_once = 1 if device_asked_for() == CPU else _AT_ONCE
+    at_once = images_at_once()
     every: list[KeptEmbedding] = []
     for first in range(0, len(dataset), at_once):
         numbers = range(first, min(first + at_once, len(dataset)))
@@ -164,9 +161,8 @@ def embed_dataset(
 def _embedded(
     checked: CheckedRecognizer, images: Sequence[NDArray[np.uint8]]
 ) -> list[KeptEmbedding]:
-    """Return what is made of images just now, of one by `embed`, which is how a run asks."""
+    """Return what is made of images just now."""
     start = perf_counter()
-    is_one = len(images) < 2
-    vectors = [checked.embed(each) for each in images] if is_one else checked.embed_many(images)
+    vectors = checked.embed_many(images)
     took_s = (perf_counter() - start) / max(1, len(images))
     return [KeptEmbedding(vector, took_s, None) for vector in vectors]

@@ -33,6 +33,11 @@ def on_another() -> str:
     return "" if device == CPU else f" on {device}"
 
 
+def images_at_once() -> int:
+    """Return how many images networks are to take at once where all are there: on the CPU one."""
+    return 32 if on_another() else 1
+
+
 def no_such_device(name: str, of: str, why: str) -> RecognizerError:
     """Return the error that what runs a network here, torch or onnxruntime, has no such device."""
     return RecognizerError(f"{VARIABLE}={name}: {of} cannot use it: {why}")

@@ -19,9 +19,9 @@ from slam.types import PREVIEW_SCALE, Camera, FloatArray
 _STRIDE = 2  # every other preview pixel is dense enough for the usual voxels
 # A room seen from 1.5 m away is merged by the centimetre, and nothing further than 4 m is in it.
 _VOXEL, _MAX_DEPTH = 1.0 / 150.0, 2.5  # of the median depth
-# For voxels, to begin with: of one view, and of a map. What is large takes up memory only as it is
-# filled, and grows without being copied; what was small at first would leave all it grew out of.
-_ROOM, _ROOM_OF_MAP = 20_000, 600_000
+# For the voxels of a map, to begin with. What is large takes up memory only as it is filled, and
+# grows without being copied; what was small at first would leave all it grew out of.
+_ROOM = 600_000
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PointCloud:
 
     def thinned(self, voxel_m: float) -> "PointCloud":
         """Return the means of the points and colours in each voxel."""
-        means = VoxelMeans(voxel_m)
+        means = VoxelMeans(voxel_m, len(self.points_m))
         means.add(self)
         return means.cloud()
 
@@ -51,7 +51,7 @@ class VoxelMeans:
         self._numbers = np.zeros(room, np.uint64)
         self._sums_m = np.zeros((room, 3))
         self._sums = np.zeros((room, 4), np.float32)  # of colours, and how many
-        self._table = hash_table(self._numbers[:0], _ROOM)  # grows by itself: all of it is used
+        self._table = hash_table(self._numbers[:0], 0)  # grows as they come: all of it is used
 
     def add(self, cloud: PointCloud) -> None:
         """Add a cloud's points."""
@@ -92,7 +92,7 @@ def sizes(result: SlamResult, config: MapConfig) -> tuple[float, float]:
 def fuse(result: SlamResult, config: MapConfig) -> PointCloud:
     """Return one coloured cloud, metres, world frame: the mean of the points in each voxel."""
     voxel_m, max_depth_m = sizes(result, config)
-    means = VoxelMeans(voxel_m, _ROOM_OF_MAP)
+    means = VoxelMeans(voxel_m)
     for cloud in _clouds(result, voxel_m, max_depth_m):
         means.add(cloud)
     return means.cloud()

@@ -26,7 +26,7 @@ from slam.tracking.smoothing import smoothed
 from slam.tracking.tracker import Tracker
 from slam.types import Camera, FloatArray, Keyframe, SlamError, Trajectory
 
-NOT_ADJUSTED = (
+WITHOUT_IMAGES = (
     "this was made of what a run had left, without images and features: the pose graph is solved,"
     " but the map is not adjusted to it, and there are no pictures and no point cloud"
 )
@@ -150,7 +150,7 @@ class Finishing:
         if too_large := size_warning(len(loops.T_world_kf)):
             return left_as_solved(loops, too_large)
         if self.tracker.map is None:
-            return left_as_solved(loops, (NOT_ADJUSTED,))
+            return left_as_solved(loops, (WITHOUT_IMAGES,))
         with self.clock.stage("adjust"):
             return adjusted(self.tracker.map, loops)
 
@@ -193,6 +193,7 @@ class Finishing:
             unjoined_s=self.frames.unjoined_s(T_world_kf),
             session_starts_s=np.array(self.frames.session_starts_s),
             elapsed_s=self.clock.elapsed_s,
+            compiling_s=self.clock.compiling_s,
             unsmoothed=trajectory if self._is_smoothed else None,
             threshold=closer.threshold(),
             earlier=len(self.earlier.keyframes) if self.earlier else 0,

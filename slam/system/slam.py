@@ -284,12 +284,14 @@ class Slam:
         """Return the map of a finished run for later ones: the keyframes that have a place.
 
         Raises:
+            SlamError: the run was finished without its images.
             RecognizerError: the recognizer has neither a fingerprint nor a source file.
         """
         if self.earlier and self._is_fixed:
             return self.earlier
         the_map = self._adjusted_map or self._tracker.map
-        assert the_map is not None  # or it is a run without images, of which none is saved
+        if the_map is None:
+            raise SlamError("a run that was finished without its images has no map to save")
         earlier = self.earlier.sessions if self.earlier else np.zeros(0, np.int64)
         stamps_s = [each.timestamp_s for each in result.keyframes[len(earlier) :]]
         later = np.searchsorted(self._frames.session_starts_s, stamps_s, side="right")

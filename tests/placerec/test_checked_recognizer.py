@@ -125,8 +125,14 @@ def test_many_images_are_checked_as_one_is(kind, error_of):
 
 
 def test_as_many_embeddings_as_images(error_of):
-    checked = CheckedRecognizer(AtOnce(np.array([1.0]), np.array([1.0])))
-    assert "2 embeddings of 1 images" in error_of(checked.embed_many, [IMAGE])
+    checked = CheckedRecognizer(AtOnce(*[np.array([1.0])] * 3))
+    assert "3 embeddings of 2 images" in error_of(checked.embed_many, [IMAGE, IMAGE])
+
+
+def test_one_image_is_embedded_as_in_a_run():
+    checked = CheckedRecognizer(AtOnce(*[np.array([1.0])] * 3))
+    assert checked.embed_many([IMAGE]) == [[1.0]]
+    assert checked.embed_many([]) == []
 
 
 def test_changing_dimension_is_refused(error_of):

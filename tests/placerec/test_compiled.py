@@ -33,14 +33,15 @@ def scaled(number):
 """
 RUN = """
 import numpy as np, loops
-from placerec.compiled import load_compiled, telling_of_compiling
+from placerec.compiled import compiling_s, load_compiled, telling_of_compiling
 
 with telling_of_compiling(lambda: print("compiling")):
     load_compiled()
     print(len(loops.added.overloads))
-    print(loops.added(np.arange(4.0)))
+    total = loops.added(np.arange(4.0))
+    print(compiling_s() > 0.0, total)
 """
-COMPILED, LOADED = ["0", "compiling", "6.0"], ["1", "6.0"]
+COMPILED, LOADED = ["0", "compiling", "True", "6.0"], ["1", "False", "6.0"]
 
 
 @pytest.fixture
@@ -99,8 +100,8 @@ def test_what_changes_in_another_file_is_compiled_again_in_place_of_what_was(
     files = cached(folder)
     assert len(files) == 2
     (folder / "others.py").write_text(OTHERS.replace(before, after))
-    assert run(folder) == ["0", "compiling", total]
-    assert run(folder) == ["1", total]
+    assert run(folder) == ["0", "compiling", "True", total]
+    assert run(folder) == ["1", "False", total]
     assert cached(folder) == files
 
 

@@ -57,6 +57,7 @@ def saved_map(slam: Slam, result: SlamResult) -> SavedMap:
     It has the keyframes that have a place, numbered anew where there are others.
 
     Raises:
+        SlamError: the run was finished without its images.
         RecognizerError: the recognizer has neither a fingerprint nor a source file.
     """
     saved, earlier = slam.saved(result), slam.earlier

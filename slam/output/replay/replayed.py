@@ -68,7 +68,7 @@ class ReplayedSlam(Slam):
 
     def finish(self) -> SlamResult:
         """Return what the run found out until it was killed; how long it took is not known."""
-        return replace(super().finish(), elapsed_s=None, stage_seconds={})
+        return replace(super().finish(), elapsed_s=None, compiling_s=None, stage_seconds={})
 
 
 class SearchingSlam(ReplayedSlam):

@@ -40,7 +40,10 @@ def figures(
     count = len(result.keyframes)
     keyframes = f"{count} keyframe" + ("" if count == 1 else "s")
     if result.elapsed_s:
-        keyframes += f", {1000.0 * result.elapsed_s / max(frames, 1):.1f} ms per frame"
+        per_frame = 1000.0 / max(frames, 1)
+        keyframes += f", {per_frame * result.elapsed_s:.1f} ms per frame"
+        if result.compiling_s:
+            keyframes += f", {per_frame * result.compiling_s:.1f} of them compiling"
     return (
         _error(result, drift),
         Figure("Loops accepted", f"{kept} of {len(loops)}", "; ".join(notes) or "candidates"),

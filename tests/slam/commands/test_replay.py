@@ -166,6 +166,7 @@ def test_a_killed_run_that_was_finished_is_not_whole(run, short_recording, tmp_p
     assert any("the run stopped early" in each for each in warnings(again))
     summary = json.loads((again / "summary.json").read_text())
     assert summary["elapsed_s"] is None and summary["frames_per_second"] is None
+    assert summary["compiling_s"] is None
 
 
 @pytest.mark.parametrize(("inside", "named"), [("run", "."), ("run/deeper", "..")])

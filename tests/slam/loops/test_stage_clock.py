@@ -26,6 +26,15 @@ def test_time_passes_between_stages_and_only_once_where_they_overlap(clock):
     assert clock.elapsed_s == 12.0
 
 
+def test_what_was_compiled_since_the_first_stage_began_is_told(clock, monkeypatch):
+    compiled_s = iter([0.5, 0.75, 2.5])
+    monkeypatch.setattr(stage_clock, "compiling_s", lambda: next(compiled_s))
+    for said_s in (0.25, 2.0):
+        with clock.stage("track"):
+            pass
+        assert clock.compiling_s == said_s
+
+
 def test_a_stage_that_fails_has_taken_its_time_too(clock):
     with pytest.raises(KeyboardInterrupt), clock.stage("track"):
         raise KeyboardInterrupt

@@ -10,8 +10,7 @@ from placerec.errors import LoopcloseError
 from slam.config import MapConfig
 from slam.datasets.cameras import FREIBURG
 from slam.geometry import se3
-from slam.output import point_cloud
-from slam.output.point_cloud import PointCloud, fuse, write_map
+from slam.output.point_cloud import PointCloud, VoxelMeans, fuse, write_map
 from slam.result import SlamResult
 from slam.tracking.tracked_frame import preview
 from slam.types import Camera, Frame, Keyframe, Trajectory
@@ -137,19 +136,15 @@ def test_what_several_keyframes_see_is_there_once():
     assert len(thrice.points_m) == len(once.points_m)
 
 
-def test_a_map_that_outgrows_its_room_is_as_if_there_had_been_room_for_all(monkeypatch, frames):
-    turned = se3.exp(np.array([0.0, 0.1, 0.0, 0.2, 0.0, 0.1]))
-    keyframes = [
-        Keyframe(i, frame.timestamp_s, np.eye(4), None, preview(frame))
-        for i, frame in enumerate(frames[:6])
-    ]
-    T_world_kf = [np.linalg.matrix_power(turned, k % 3) for k in range(6)]
-    camera = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
-    result = result_of(keyframes, T_world_kf, camera)
-    at_once = fuse(result, COARSE)
-    monkeypatch.setattr(point_cloud, "_ROOM_OF_MAP", 1)
-    monkeypatch.setattr(point_cloud, "_ROOM", 1)  # of the table, with which it begins
-    in_turn = fuse(result, COARSE)
+def test_means_that_outgrow_their_room_are_as_if_there_had_been_room_for_all():
+    rng = np.random.default_rng(0)
+    points_m, colours = rng.random((3000, 3)), rng.integers(0, 256, (3000, 3)).astype(np.float32)
+    at_once = PointCloud(points_m, colours).thinned(0.1)
+    means = VoxelMeans(0.1, room=1)
+    for first in range(0, 3000, 100):
+        part = slice(first, first + 100)
+        means.add(PointCloud(points_m[part], colours[part]))
+    in_turn = means.cloud()
     np.testing.assert_array_equal(in_turn.points_m, at_once.points_m)
     np.testing.assert_array_equal(in_turn.colours, at_once.colours)
 

@@ -309,3 +309,9 @@ def test_warnings_come_before_the_report():
 def test_a_run_that_took_no_time_has_no_speed():
     assert any("frames/s" in line for line in lines(result(), None))
     assert not any("frames/s" in line for line in lines(replace(result(), elapsed_s=0.0), None))
+
+
+def test_what_the_compiler_took_is_told_beside_the_speed():
+    first = replace(result(), compiling_s=0.3)
+    assert "pipeline   25.0 frames/s, 0.3 s of compiling included" in lines(first, None)
+    assert summarise(first, None)["compiling_s"] == 0.3

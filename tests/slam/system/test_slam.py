@@ -226,6 +226,7 @@ def test_stages_are_in_the_order_of_the_pipeline(result):
     ]
     assert all(seconds > 0.0 for seconds in result.stage_seconds.values())
     assert result.elapsed_s >= max(result.stage_seconds.values())
+    assert 0.0 <= result.compiling_s < result.elapsed_s
 
 
 def test_two_runs_give_the_same_bits(again, result):

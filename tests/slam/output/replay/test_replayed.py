@@ -7,7 +7,8 @@ from slam.config import Config
 from slam.output.journal import Header, JournalWriter, read_journal
 from slam.output.replay.replayed import replayed
 from slam.system import Slam
-from slam.system.finishing import NOT_ADJUSTED
+from slam.system.finishing import WITHOUT_IMAGES
+from slam.types import SlamError
 
 
 def journal_of(slam, camera, frames, folder, poses=None, sessions=()):
@@ -42,7 +43,15 @@ def test_a_run_is_finished_without_its_images(both, T_first_cam):
     assert len(again.keyframes) == len(result.keyframes)
     error_m = np.linalg.norm((again.trajectory.T_world_cam - T_first_cam)[:, :3, 3], axis=1)
     assert error_m.max() < 0.05
-    assert NOT_ADJUSTED in again.warnings and not again.missing and not again.has_images
+    assert WITHOUT_IMAGES in again.warnings and not again.missing and not again.has_images
+
+
+def test_without_images_there_is_no_map_to_save(tmp_path, frames, sequence):
+    slam = Slam(sequence.camera, GradientRecognizer())
+    again = replayed(journal_of(slam, sequence.camera, frames[:5], tmp_path / "x"), Config(), None)
+    result = again.finish()
+    with pytest.raises(SlamError, match="without its images"):
+        again.saved(result)
 
 
 def test_how_long_the_run_took_is_not_known(both):

@@ -147,6 +147,11 @@ def test_three_numbers_answer_first(run, altered) -> None:
     assert (tracked.value, tracked.note) == ("200 of 200", "40 keyframes, 20.0 ms per frame")
 
 
+def test_what_the_compiler_took_of_a_frame_is_told(run, altered) -> None:
+    *_, tracked = figures(altered(compiling_s=3.0), None, [])
+    assert tracked.note == "40 keyframes, 20.0 ms per frame, 15.0 of them compiling"
+
+
 def test_an_error_that_nobody_knows_is_told_calmly(run) -> None:
     error, closed, _ = figures(run.result, None, decisions(run.result, None))
     assert error.value == "not known"

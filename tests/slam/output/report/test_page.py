@@ -206,7 +206,14 @@ def test_nees_stands_beside_what_it_should_be(page: Page) -> None:
 
 def test_a_run_is_as_long_as_its_clock_says_though_its_stages_overlap(page: Page, run) -> None:
     assert sum(run.result.stage_seconds.values()) == pytest.approx(5.3)
-    assert "the whole run 20.00 4.00" in page.text
+    assert "the whole run 20.00 4.00" in page.text and "compiling" not in page.text
+
+
+def test_what_the_compiler_took_of_a_run_is_told(altered) -> None:
+    assert (
+        "compiling, which later runs need not do 15.00 3.00"
+        in page_of(altered(compiling_s=3.0)).text
+    )
 
 
 def test_where_no_time_is_known_none_is_told(altered) -> None:
