@@ -45,8 +45,8 @@ from slam.types import Camera, Features, FloatArray
 
 LEAST_MATCHES = 12
 DOUBT = 4.0
-"""Over the number of matches that bear a motion out, what it counts as longer: metres plus
-radians. Whatever repeats itself in a scene may be matched twelve times in a wrong place."""
+"""Over the number of matches that bear a motion out, what it ranks as longer among those within the
+limit: metres plus radians. What repeats itself may be matched twelve times in a wrong place."""
 OFF_M, OFF_SHARE = 0.015, 0.02
 """How far a matched point may be off in the end: so much, and this share of its depth."""
 LENIENCE = (2.0, 5.0 / 3.0, 4.0 / 3.0, 1.0)
@@ -134,7 +134,10 @@ def _looked_at(dataset: PlaceDataset, limit: float) -> tuple[PlaceDataset, list[
 def _look_again(
     similarities: Similarities, dataset: PlaceDataset, features: Sequence[Features], score: Score
 ) -> tuple[FloatArray, float]:
-    """Return (N, N) scores, of the ten most similar of each row or NaN, and the time of one."""
+    """Return (N, N) scores of the ten most similar of each row, and the time of one.
+
+    NaN for the others, and where the score is. Of two ways to look at a pair the larger counts.
+    """
     possible = np.where(dataset.comparable, similarities, -np.inf)
     scores, taken_s, count = np.full(similarities.shape, np.nan), 0.0, 0
     for row, values in enumerate(possible):

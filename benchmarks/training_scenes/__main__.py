@@ -9,7 +9,7 @@
 From the root of the repository. Rooms and cluttered tables are rendered; of a recording with depth
 and true poses, as rgbd_dataset_freiburg1_xyz is one, views are made that its camera never had. With
 --paths the camera is carried around instead, as in a recording, which is what to validate with;
-with --depth it is a Kinect, and `run_slam` can track it.
+with --depth it is a Kinect, and `run_slam` can track it; these need a folder of their own.
 Scenes that are there are kept.
 """
 

@@ -191,7 +191,7 @@ def summary_table(result: SlamResult, drift: DriftReport | None, folder: Path) -
         rows.append(("mesh", result.meshes.explanation))
     if summary["frames_per_second"] is not None:
         speed = f"{summary['frames_per_second']:.1f} frames/s"
-        if result.compiling_s:
+        if (result.compiling_s or 0.0) >= 0.05:
             speed += f", {result.compiling_s:.1f} s of compiling included"
         rows.append(("pipeline", speed))
     if result.given and result.given.verdict:

@@ -42,7 +42,7 @@ def figures(
     if result.elapsed_s:
         per_frame = 1000.0 / max(frames, 1)
         keyframes += f", {per_frame * result.elapsed_s:.1f} ms per frame"
-        if result.compiling_s:
+        if per_frame * (result.compiling_s or 0.0) >= 0.05:
             keyframes += f", {per_frame * result.compiling_s:.1f} of them compiling"
     return (
         _error(result, drift),

@@ -80,17 +80,32 @@ def test_a_fourth_of_wrong_matches_does_not_matter_and_chance_is_nothing(seen):
     assert np.isnan(second_look._verdict(None, 0.6))
 
 
-def test_the_tables_of_recordings_and_their_means(recording, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["x", *[str(recording)] * 2, "--recognizer", "gradients"])
+def test_points_that_are_known_less_well_count_less():
+    rng = np.random.default_rng(3)
+    points = rng.uniform((-1.0, -1.0, 1.0), (1.0, 1.0, 3.0), (40, 3))
+    others = points + np.array([0.2, 0.0, 0.0])
+    others[:10, 0] += 0.5
+    weights = np.where(np.arange(40) < 10, 1e-6, 1.0)
+    R, t = second_look._rigid(points, others, weights)
+    assert np.linalg.norm(t - (0.2, 0.0, 0.0)) + R.magnitude() < 1e-3
+
+
+def test_what_a_motion_tells_counts_and_else_the_similarity(recording, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["x", str(recording), "--recognizer", "gradients"])
     assert second_look.main() == 0
-    rows = [row.split(" | ") for row in capsys.readouterr().out.splitlines() if row]
-    ways = ["| embedding", "| features", "| motion"]
-    assert [row[0] for row in rows if not row[0].startswith("|---")] == [
-        *[f"| {recording.name}", *ways] * 2,
-        *["| mean", *ways],
-    ]
-    of_one, of_all = rows[4], rows[-1]
-    assert of_one[1].split()[0] == of_all[1]
+    embedding, _, motion = (row.split(" | ") for row in capsys.readouterr().out.splitlines()[2:5])
+    assert (embedding[0], motion[0]) == ("| embedding", "| motion")
+    assert float(motion[1].split()[0]) > float(embedding[1].split()[0])
+
+
+def test_several_recordings_and_their_means(recording, monkeypatch, capsys):
+    looks = iter([[("motion", (0.1, 0.2, 0.3, 0.4))], [("motion", (0.3, 0.6, 0.9, 0.8))]])
+    monkeypatch.setattr(second_look, "_looks", lambda *_: next(looks))
+    monkeypatch.setattr("sys.argv", ["x", *[str(recording)] * 2])
+    assert second_look.main() == 0
+    told = capsys.readouterr().out
+    assert told.count(f"| {recording.name} |") == 2
+    assert told.splitlines()[-1] == "| motion | 0.200 | 0.400 | 0.600 | 0.600 |"
 
 
 def test_an_unknown_recording_is_named(monkeypatch, capsys, recording):
