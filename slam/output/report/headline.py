@@ -42,8 +42,9 @@ def figures(
     if result.elapsed_s:
         per_frame = 1000.0 / max(frames, 1)
         keyframes += f", {per_frame * result.elapsed_s:.1f} ms per frame"
-        if per_frame * (result.compiling_s or 0.0) >= 0.05:
-            keyframes += f", {per_frame * result.compiling_s:.1f} of them compiling"
+        compiling_ms = per_frame * (result.compiling_s or 0.0)
+        if compiling_ms >= 0.05:
+            keyframes += f", {compiling_ms:.1f} of them compiling"
     return (
         _error(result, drift),
         Figure("Loops accepted", f"{kept} of {len(loops)}", "; ".join(notes) or "candidates"),
