@@ -27,7 +27,7 @@ from time import perf_counter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from placerec import load
+from placerec import PlaceRecognizer, load
 from placerec.checked_recognizer import Similarities
 from placerec.datasets import PlaceDataset
 from placerec.datasets.names import find_data
@@ -69,14 +69,14 @@ def main() -> int:
     folders = [find_data(each) for each in options.sequences]
     if None in folders:
         parser.error(f"no such sequence: {options.sequences[folders.index(None)]}")
-    of_all: dict[str, list[Figures]] = {}
+    recognizer, of_all = load(options.recognizer), dict[str, list[Figures]]()
     for folder in filter(None, folders):
         print(
             f"| {folder.name} | average precision (95 %) | recall@1 | recall at 100 % P (95 %) |",
             end="",
         )
         print(" area | ms a pair |\n|---|---|---:|---|---:|---:|")
-        for name, figures in _looks(folder, options.limit, options.recognizer):
+        for name, figures in _looks(folder, options.limit, recognizer):
             of_all.setdefault(name, []).append(figures)
         print()
     if len(folders) > 1:
@@ -88,10 +88,11 @@ def main() -> int:
     return 0
 
 
-def _looks(folder: Path, limit: float, recognizer_name: str) -> Iterator[tuple[str, Figures]]:
+def _looks(
+    folder: Path, limit: float, recognizer: PlaceRecognizer
+) -> Iterator[tuple[str, Figures]]:
     """Print a row for each way to look, and yield its name and figures."""
     dataset, features, camera = _looked_at(read_tum(folder), limit)
-    recognizer = load(recognizer_name)
     embedded = embed_dataset(recognizer, dataset, EmbeddingCache(recognizer))
     similarities = compare(embedded.embeddings, dataset)
     yield "embedding", _print("embedding", similarities, dataset, 0.0)

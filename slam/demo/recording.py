@@ -63,7 +63,11 @@ def render_path(
     camera: Camera = _DEMO_CAMERA,
     enlarged: float = 1.0,
 ) -> None:
-    """Write what a camera sees on its way through a room, as `render_sequence` does."""
+    """Write what a camera sees on its way through a room, as `render_sequence` does.
+
+    Raises:
+        LoopcloseError: the folder is not empty or cannot be written.
+    """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SlamError(f"there is something already; choose another folder or remove it: {folder}")
     try:

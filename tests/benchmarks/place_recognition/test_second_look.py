@@ -4,6 +4,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.place_recognition import second_look
+from placerec.datasets.tum import read_tum
 from slam.types import Camera, Features
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -78,6 +79,16 @@ def test_a_fourth_of_wrong_matches_does_not_matter_and_chance_is_nothing(seen):
     nothing = _features(np.empty((0, 3)), np.empty((0, 32), np.uint8))
     assert second_look._motion(first, nothing, CAMERA) is None
     assert np.isnan(second_look._verdict(None, 0.6))
+
+
+def test_of_two_ways_to_look_at_a_pair_the_nearer_counts(recording):
+    whole = read_tum(recording)
+    ends = np.isin(np.arange(len(whole)), [0, 1, len(whole) - 2, len(whole) - 1])
+    dataset, alike = whole.subset(ends), np.zeros((4, 4), np.float32)
+    scores, _ = second_look._look_again(alike, dataset, range(4), lambda a, b: float(a - b))
+    apart = np.abs(np.subtract.outer(np.arange(4.0), np.arange(4.0)))
+    assert dataset.comparable.any()
+    np.testing.assert_array_equal(scores, np.where(dataset.comparable, apart, np.nan))
 
 
 def test_points_that_are_known_less_well_count_less():

@@ -2,6 +2,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.training_scenes import __main__ as training_scenes
 from benchmarks.training_scenes import rendered
 from benchmarks.training_scenes.handheld import path_times_s, write_folder
 from benchmarks.training_scenes.rendered import papered
@@ -36,6 +37,15 @@ def test_a_path_can_be_recorded_with_depth(kind, tmp_path, monkeypatch):
         seen = render(scene.room, sequence.camera, T_world_cam)
         both = (frame.depth_m > 0.0) & (seen.depth_m > 0.0)
         assert np.median(np.abs(frame.depth_m - seen.depth_m)[both]) < 0.02
+
+
+@pytest.mark.parametrize("typed", [["--depth"], ["--depth", "--paths", "--recording", "x"]])
+def test_depth_is_for_rendered_paths(typed, tmp_path, monkeypatch, capsys):
+    out = str(tmp_path / "out")
+    monkeypatch.setattr("sys.argv", ["x", out, "--photographs", "ie_tower", *typed])
+    with pytest.raises(SystemExit):
+        training_scenes.main()
+    assert "--depth is for rendered --paths" in capsys.readouterr().err
 
 
 def test_a_folder_that_could_not_be_finished_is_not_there(tmp_path):
